@@ -25,7 +25,7 @@ import numpy as np
 from perilune.atlas.building.build import TOLERANCE, build
 from perilune.atlas.grid.cell_subdivision import WHOLE
 from perilune.atlas.query.query import Atlas, open_atlas
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.scenario import load_file
 from perilune.solve import solve
 

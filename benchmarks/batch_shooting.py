@@ -22,7 +22,7 @@ sys.path[:0] = [str(TESTS), str(TESTS / "kernels")]
 from landing_bvp import by_hand, parameters  # pyright: ignore[reportMissingImports]
 
 from many_problems import KINDS  # pyright: ignore[reportMissingImports]
-from perilune.core.arrays import Matrix
+from perilune.core import Matrix
 from perilune.shooting.shooting_function import Shooting
 
 

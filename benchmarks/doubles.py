@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from perilune.core.arrays import Batch
+from perilune.core import Batch
 
 # Of a result rounded to nearest 2^-53 is lost at most, and of a radius of up to eight operations not 2^-49.
 _LOST, _UP, _TINY = 2.0**-52, 1 + 2.0**-49, 1e-300  # the last covers what underflows

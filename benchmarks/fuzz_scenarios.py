@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 from perilune.cli import run_command_line
-from perilune.core.fields import Key, Quantity
+from perilune.core import Key, Quantity
 from perilune.models.catalogue import KINDS
 from perilune.models.kind import Kind, Section
 from perilune.scenario import template

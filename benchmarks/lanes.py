@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from doubles import Doubles, ball, between, joined
-from perilune.core.arrays import Batch
+from perilune.core import Batch
 from perilune.problem.controls import UnitVectorControl
 from perilune.problem.problem import Problem
 from perilune.rigorous.equations import ProblemReader

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 from perilune.models.deorbit.dynamics import path_angle, position_vector, velocity_vector
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.rotating_frame import Triple

@@ -27,7 +27,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.core import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.methods.indirect.coarse_direct import nearly_active_conditions
 from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
 from perilune.models.landing.problem import Orbit, hybrid_landing

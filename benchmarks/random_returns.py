@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
 from perilune.models.physics import ellipsoid

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import InfeasibleError, NotConvergedError, PeriluneError
+from perilune.core import InfeasibleError, NotConvergedError, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.descent.problem import Ignition, Site, powered_descent
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing

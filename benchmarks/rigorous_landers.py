@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from flint import arb, ctx
 
-from perilune.core.callbacks import ignore_events
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError, ignore_events
 from perilune.problem.problem import Problem
 from perilune.rigorous.enclosure_step import NotEnclosed
 from perilune.rigorous.krawczyk import NotProved, prove_root

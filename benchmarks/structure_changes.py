@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.models.descent.problem import Site
 from perilune.models.physics.bodies import MARS, UniformGravity
 from perilune.models.precision.problem import Approach, Corridor, precision_landing

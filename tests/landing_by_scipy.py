@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from perilune.core.errors import Outcome
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Outcome
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import Body
 from perilune.problem.problem import Problem

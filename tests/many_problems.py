@@ -14,8 +14,7 @@ import numpy as np
 
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.units import Scales
+from perilune.core import Matrix, Scales, Vector
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.named_values import Conditions

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
-from perilune.core.fields import Key, TextField, record_keys
+from perilune.core import Key, TextField, record_keys
 from perilune.models.catalogue import KINDS
 from perilune.models.kind import Kind, Section
 

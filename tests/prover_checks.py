@@ -20,7 +20,7 @@ from flint import arb, arb_mat, arb_series, ctx, fmpq
 
 import perilune as pl
 import perilune_checker.equations
-from perilune.core.units import parse_quantity
+from perilune.core import parse_quantity
 from perilune.problem.variables import Parameter
 from perilune.problem.verification import Verification
 from problems.ascents import tangent_steering

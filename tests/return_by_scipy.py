@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 
 EXACT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-6}
 

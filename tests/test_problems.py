@@ -17,7 +17,7 @@ import pytest
 import perilune as pl
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.casadi_trace import canonical_free, state_scales

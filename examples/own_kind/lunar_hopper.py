@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import perilune as pl
-from perilune.core.fields import quantity, record
+from perilune.core import quantity, record
 from perilune.models import Kind, Section
 from perilune.problem.parameters import given_of
 

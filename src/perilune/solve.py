@@ -7,11 +7,23 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
-from perilune.core.callbacks import Progress, TimeLimitReached, Watch, enter_computation, remember_best
-from perilune.core.deprecation import renamed_keywords, renamed_names
-from perilune.core.errors import NotConvergedError, PeriluneError
-from perilune.core.units import format_quantity
-from perilune.core.validation import check_call, require_callable, require_level, require_si_number, require_type
+from perilune.core import (
+    NotConvergedError,
+    PeriluneError,
+    Progress,
+    TimeLimitReached,
+    Watch,
+    check_call,
+    enter_computation,
+    format_quantity,
+    remember_best,
+    renamed_keywords,
+    renamed_names,
+    require_callable,
+    require_level,
+    require_si_number,
+    require_type,
+)
 from perilune.methods import Indirect, Method
 from perilune.problem.display.quantity_names import objective_text
 from perilune.problem.presolve import preflight, refuse_impossible

@@ -6,10 +6,20 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from perilune.core.callbacks import Iteration, Watch, enter_computation, sign_of_life
-from perilune.core.deprecation import renamed_keywords
-from perilune.core.errors import Outcome, PeriluneError
-from perilune.core.validation import check_call, require_callable, require_level, require_type, wrong_type_error
+from perilune.core import (
+    Iteration,
+    Outcome,
+    PeriluneError,
+    Watch,
+    check_call,
+    enter_computation,
+    renamed_keywords,
+    require_callable,
+    require_level,
+    require_type,
+    sign_of_life,
+    wrong_type_error,
+)
 from perilune.methods import Indirect, Method
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature

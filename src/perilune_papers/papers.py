@@ -7,8 +7,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.errors import unknown_name
+from perilune.core import Watch, ignore_events, unknown_name
 
 # Name on the command line: package in this room, loaded when asked for.
 PAPERS = {"cho-2015": "cho2015", "peng-2012": "peng2012", "liu-2019": "liu2019"}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from perilune import PeriluneError
-from perilune.core.callbacks import Watch
+from perilune.core import Watch
 
 
 @dataclass(frozen=True, kw_only=True)

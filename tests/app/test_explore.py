@@ -44,8 +44,7 @@ from perilune.app.source import Subject, subject_of
 from perilune.app.static_page import build_static_page
 from perilune.app.worker import SupersededWork, WorkerKilled, WorkerProcess, in_thread
 from perilune.cli.commands import run_command
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.errors import InfeasibleError, NotConvergedError
+from perilune.core import InfeasibleError, NotConvergedError, Watch, ignore_events
 from perilune.io.save import save
 from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text

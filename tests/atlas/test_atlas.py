@@ -50,7 +50,7 @@ from perilune.charts.midpoint_march import extrapolated_step
 from perilune.charts.reintegrate import ChartReintegration
 from perilune.charts.sheet import Sheet
 from perilune.cli import run_command_line
-from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.core import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.io.presolve_json import comparisons_document, read_comparisons, same_comparisons
 from perilune.kernels import compile_map
 from perilune.problem.presolve import Finding

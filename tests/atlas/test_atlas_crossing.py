@@ -25,7 +25,7 @@ from perilune.atlas.query.minimum_search import KnownExtremals, MinimumSearch
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.store.cells import WHOLE
 from perilune.atlas.survey import survey
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.problem.variables import Parameter, Variable
 
 build = partial(building.build, sample=0)  # proofs have tests of their own

@@ -21,8 +21,7 @@ from perilune.atlas.query.query import open_atlas
 from perilune.atlas.region import region_of
 from perilune.atlas.store.cells import Status
 from perilune.atlas.survey.initial_solves import RegionSolver, Scan
-from perilune.core.callbacks import ignore_events
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, ignore_events
 from problems.constrained import bryson_denham, bryson_denham_truth
 
 build = partial(building.build, sample=0)  # proofs have tests of their own

@@ -34,7 +34,7 @@ from perilune.atlas.store.manifest import is_cut_off, read_line, written_line
 from perilune.atlas.store.schema import cell_type
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.cli import run_command_line
-from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.core import NotConvergedError, PeriluneError
 from perilune.models.catalogue import key_of
 
 build = partial(building.build, sample=0)  # proofs have tests of their own

@@ -30,7 +30,7 @@ from perilune.atlas.store.manifest import written_line
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.atlas.survey.surveyed_chart import SurveyedChart
 from perilune.cli import run_command_line
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.solve import solve
 
 build = partial(building.build, sample=0)  # proofs have tests of their own

@@ -20,7 +20,7 @@ from perilune.charts.arc_sequence import ArcSequence
 from perilune.charts.borders import Borders
 from perilune.charts.chart import Chart, Holds
 from perilune.charts.sheet import Sheet
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.models.landing.problem import Orbit, hybrid_landing
 from perilune.models.physics.bodies import MOON
 from perilune.models.physics.vehicle import Retro, Vehicle

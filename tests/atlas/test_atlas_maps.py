@@ -18,7 +18,7 @@ from perilune.atlas.query.batch_answers import Answered
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.query.slices import sliced
 from perilune.cli import run_command_line
-from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core import InfeasibleError, PeriluneError
 from perilune.report import atlas_maps as drawing
 from perilune.report.atlas_maps import atlas_maps
 from perilune.solve import solve

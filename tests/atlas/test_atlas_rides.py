@@ -26,9 +26,7 @@ from perilune.charts.chart import Chart, Holds
 from perilune.charts.midpoint_march import _admissible_controls
 from perilune.charts.reintegrate import SLACK, ChartReintegration
 from perilune.charts.sheet import Sheet
-from perilune.core.arrays import Matrix
-from perilune.core.callbacks import ignore_events
-from perilune.core.errors import PeriluneError
+from perilune.core import Matrix, PeriluneError, ignore_events
 from perilune.methods.indirect.search import Search
 from perilune.problem.results.extremal import Nature
 from perilune.structures import revise_arcs

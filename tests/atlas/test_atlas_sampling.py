@@ -25,7 +25,7 @@ from perilune.atlas.query.reader import are_possible_answers
 from perilune.atlas.store.manifest import written_line
 from perilune.atlas.store.store import MANIFEST, AtlasStore
 from perilune.cli import run_command_line
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.verify import verify
 
 THRUST = {"vehicle.thrust": (430.0, 450.0)}

@@ -27,7 +27,7 @@ from perilune.charts.arc_sequence import ArcSequence
 from perilune.charts.borders import Borders
 from perilune.charts.chart import Chart
 from perilune.charts.sheet import Sheet
-from perilune.core.callbacks import ignore_events
+from perilune.core import ignore_events
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.results.extremal import Nature
 from perilune.solve import solve

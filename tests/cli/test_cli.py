@@ -17,8 +17,7 @@ import perilune as pl
 from command_line import HYBRID, ORDINARY, ROOT, read_json, snapshot
 from perilune.cli import options, run_command_line
 from perilune.cli.arguments import parse_command_line
-from perilune.core.callbacks import Iteration
-from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome
+from perilune.core import InfeasibleError, Iteration, NotConvergedError, Outcome
 from perilune.families.continuation import Continuation
 from perilune.families.family import Family, FamilyPoint
 from perilune.problem.problem import Problem

@@ -16,7 +16,7 @@ import perilune as pl
 from command_line import COMMAND, ENVIRONMENT, HYBRID, ORDINARY, ROOT, read_json, snapshot
 from perilune.cli import run_command_line
 from perilune.cli.progress import SpinnerText
-from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core import InfeasibleError, PeriluneError
 from perilune.io.atomic_files import fresh_directory
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

@@ -23,7 +23,7 @@ from command_line import COMMAND, ENVIRONMENT, HYBRID, read_json, snapshot
 from perilune.cli.interrupts import defer_interrupt
 from perilune.cli.output import CommandAnswer, emit_answer
 from perilune.cli.progress import progress
-from perilune.core.errors import NotConvergedError
+from perilune.core import NotConvergedError
 from perilune.direct import nlp
 from perilune.direct.ipopt_events import IterationCallback, rewrite_interrupt_messages
 

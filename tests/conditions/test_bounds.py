@@ -14,7 +14,7 @@ import pytest
 from perilune.charts.feasibility import point_feasibility
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
+from perilune.core import NotConvergedError, Outcome, PeriluneError
 from perilune.families.sweep import sweep
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.evolutionary.genetic import Genetic

@@ -17,7 +17,7 @@ from scipy.optimize import brentq, minimize
 import perilune as pl
 from perilune.conditions.pontryagin import derive
 from perilune.conditions.singular_control import singular_control
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.methods.indirect.chattering import find_chattering_arc
 from perilune.problem.tracing.costate_signs import cost_states, unpriced_states
 from problems.goddard import goddard

@@ -11,7 +11,7 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from test_indirect import tangent_steering
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.core.errors import InfeasibleError
+from perilune.core import InfeasibleError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.method import Method

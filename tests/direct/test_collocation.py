@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.direct.collocation import Polynomial, differentiation_matrix, interpolation_matrix, rule
 
 SCHEMES = [("gauss", 1), ("radau", 2)]

@@ -17,7 +17,7 @@ from perilune.atlas.building.audit import sample_of
 from perilune.atlas.building.build import build
 from perilune.atlas.query.query import open_atlas
 from perilune.cli import run_command_line
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.families import dask_cluster as on_cluster
 from perilune.families.dask_cluster import cluster
 from perilune.families.executors import run_calls

@@ -22,7 +22,7 @@ import pytest
 from cho import cho_landing
 from command_line import read_json
 from perilune.cli import run_command_line
-from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.core import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.methods.direct.pseudospectral import Pseudospectral

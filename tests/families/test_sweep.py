@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.families.sweep import sweep
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 import perilune as pl
 from command_line import HYBRID, ORDINARY, read_json
 from perilune.cli import run_command_line
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.io.json_checks import LONGEST_TEXT
 from perilune.io.save import save
 from perilune.problem.results.extremal import Nature

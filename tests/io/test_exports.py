@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 import perilune as pl
 from command_line import HYBRID, ROOT, read_json
 from perilune.cli import run_command_line
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.io.exports.czml import attitudes, join_legs
 from perilune.io.exports.epochs import stamp
 from perilune.io.exports.inertial_path import LOST, InertialLeg, legs

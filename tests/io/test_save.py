@@ -16,7 +16,7 @@ import pytest
 import perilune as pl
 from command_line import read_json
 from perilune.cli import run_command_line
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.io.model_records import model_document, read_model
 from perilune.io.problem_json import physics_document, read_physics
 from perilune.methods.direct.pseudospectral import Pseudospectral

@@ -23,7 +23,7 @@ from perilune.atlas.building.merge import merge
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.store.store import MANIFEST
 from perilune.cli import run_command_line
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.scenario import load_file

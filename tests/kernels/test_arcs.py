@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.kernels import ArcStatus, compile_arcs
 
 

@@ -12,7 +12,7 @@ import pytest
 from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start
 from meditch import FINAL_TIME, PARAMETERS as MEDITCH, START, SWITCH, modes_and_switch
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.kernels import ArcStatus, BoundArcs, Engine, Request, compile_arcs, compile_map
 from perilune.kernels.code import native
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from meditch import COST, EXHAUST, FINAL_TIME, PARAMETERS, START, SWITCH, modes_and_switch
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.kernels import ArcStatus, Event, compile_arcs
 from perilune.kernels.code import native
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from lander import DURATION, PARAMETERS, landing_rhs, start
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.kernels import compile_arcs
 from perilune.kernels.algebra.prune import prune
 

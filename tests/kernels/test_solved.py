@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.kernels import ArcStatus, Event, compile_arcs
 
 

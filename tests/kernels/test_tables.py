@@ -9,8 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from perilune.core.arrays import Vector
-from perilune.core.maths import Table
+from perilune.core import Table, Vector
 from perilune.kernels import compile_arcs, compile_map
 from perilune.kernels.algebra.program import hoist, trace_function
 

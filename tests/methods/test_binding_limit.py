@@ -10,7 +10,7 @@ import pytest
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.core.errors import NotConvergedError
+from perilune.core import NotConvergedError
 from perilune.direct.elastic_constraint import elastic_limits
 from perilune.io.save import extremals_document
 from perilune.methods.binding_limit import with_binding_limit

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 from perilune.direct.collocated_solution import Sampler
 from perilune.direct.first_guess import first_guesses
 from perilune.direct.propagated_guess import NODES, fitting_segments, simulate_guess, winds_repeatedly

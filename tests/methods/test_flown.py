@@ -12,8 +12,7 @@ import pytest
 import perilune as pl
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.core.callbacks import ignore_events
-from perilune.core.errors import NotConvergedError
+from perilune.core import NotConvergedError, ignore_events
 from perilune.methods.indirect.export_arcs import correct_last_digits, propagate_for_export, propagate_in_one_piece
 from perilune.methods.indirect.result import Curves
 from perilune.methods.indirect.search import Search

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.core import NotConvergedError, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.evolutionary.fitness import ControlFitness, CostateFitness
 from perilune.methods.evolutionary.genetic import Generation, Genetic

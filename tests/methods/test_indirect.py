@@ -13,8 +13,7 @@ from cho import cho_landing
 from newton_toys import toy
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.core.callbacks import Iteration
-from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
+from perilune.core import Iteration, NotConvergedError, Outcome, PeriluneError
 from perilune.methods.indirect.exported_phases import _reconcile_switch_values
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.named_values import Conditions

@@ -10,7 +10,7 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.core.lazy import Deferred
+from perilune.core import Deferred
 from perilune.methods.indirect.refinement import structure_search as structured
 from perilune.problem.perturbed import move_start, with_start_offsets
 from perilune.problem.results.solution import Solution

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.methods.indirect.neighboring import Nearby
 from perilune.problem.results.solution import Solution
 from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham

@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing

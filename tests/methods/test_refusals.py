@@ -16,8 +16,7 @@ import perilune as pl
 from cho import CHO_MOON
 from command_line import HYBRID, read_json, snapshot
 from perilune.cli import run_command_line
-from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
-from perilune.core.units import format_bound
+from perilune.core import InfeasibleError, NotConvergedError, Outcome, PeriluneError, format_bound
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.diagnosis import active_path_condition, explain_refusal
 from perilune.methods.indirect.indirect import Indirect

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.arrays import Matrix
-from perilune.core.callbacks import ignore_events
+from perilune.core import Matrix, ignore_events
 from perilune.methods.indirect import cold_search
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.continuation import family_search

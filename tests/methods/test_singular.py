@@ -11,7 +11,7 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.singular_control import singular_control
-from perilune.core.callbacks import ignore_events
+from perilune.core import ignore_events
 from perilune.methods.indirect.search import Search
 from perilune.problem.results.solution import Solution
 from perilune.structures import Arc, Structure

@@ -9,9 +9,7 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.core.callbacks import ignore_events
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, PeriluneError, ignore_events
 from perilune.methods.indirect.continuation.homotopy import Smoothing
 from perilune.methods.indirect.continuation.regularized import RATE, smooth_problem
 from perilune.methods.indirect.newton_trials import Trials

@@ -16,8 +16,14 @@ import perilune as pl
 from cho import cho_landing
 from perilune.cli import progress as shown, run_command_line
 from perilune.cli.progress import progress
-from perilune.core.callbacks import TimeLimitReached, enter_computation, remember_best, sign_of_life
-from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.core import (
+    NotConvergedError,
+    PeriluneError,
+    TimeLimitReached,
+    enter_computation,
+    remember_best,
+    sign_of_life,
+)
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.solve import TIME_LIMIT
 from problems.ascents import tangent_steering

@@ -7,7 +7,7 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.scenario import load_file
 from perilune.structures import Arc, Structure
 from perilune.structures.multiphase import restate

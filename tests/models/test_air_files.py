@@ -13,9 +13,7 @@ import pytest
 import perilune as pl
 from command_line import ROOT, read_json
 from perilune.cli import run_command_line
-from perilune.core.column_headings import unit_as_written
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, PeriluneError, unit_as_written
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Interface, Returner, ReturnOrbit
 from perilune.models.physics import atmosphere, standard_atmosphere

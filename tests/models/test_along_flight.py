@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.core import NotConvergedError, PeriluneError
 from perilune.io.model_records import model_document
 from perilune.models.deorbit.atmosphere_iteration import solve_with_epoch_air, with_air_along_flight
 from perilune.models.deorbit.opportunities import opportunities

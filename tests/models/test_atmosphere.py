@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, PeriluneError
 from perilune.models.physics import atmosphere, standard_atmosphere
 from perilune.models.physics.atmosphere import Air
 from perilune.problem.casadi_trace import SYMBOLIC

@@ -13,8 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import perilune as pl
-from perilune.core.errors import InfeasibleError, PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, InfeasibleError, PeriluneError
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.models.deorbit import ballistic_limits as ballistic
 from perilune.models.physics import aerodynamics, ellipsoid

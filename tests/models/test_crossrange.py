@@ -11,8 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.core.errors import InfeasibleError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, InfeasibleError
 from perilune.models.deorbit.ballistic_fall import terminal_speed
 from perilune.models.physics.crossrange import glide_limits
 from perilune.problem.presolve import preflight

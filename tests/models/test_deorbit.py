@@ -14,7 +14,7 @@ import pytest
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core import InfeasibleError, PeriluneError
 from perilune.io.model_records import model_document
 from perilune.io.problem_json import physics_document
 from perilune.models.deorbit.initial_guess import impulsive_deorbit

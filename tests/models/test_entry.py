@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 from perilune.models.deorbit import orbit
 from perilune.models.deorbit.dynamics import entry_rates
 from perilune.models.physics import aerodynamics, ellipsoid

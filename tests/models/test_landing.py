@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from cho import CHO_MOON, cho_landing
-from perilune.core.errors import InfeasibleError, Outcome, PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, InfeasibleError, Outcome, PeriluneError
 from perilune.methods.indirect.indirect import Indirect
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
 from perilune.problem.problem import Problem

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from burn_coast_burn import POINTS, STANDARD_GRAVITY, rates_of_polynomials
-from perilune.core.errors import Outcome
+from perilune.core import Outcome
 from perilune.models.descent.problem import Ignition, Site, powered_descent
 from perilune.models.physics.bodies import CERES
 from perilune.models.physics.vehicle import Vehicle

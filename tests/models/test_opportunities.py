@@ -16,8 +16,7 @@ from scipy.integrate import solve_ivp
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.core.errors import InfeasibleError, PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, InfeasibleError, PeriluneError
 from perilune.models.deorbit.initial_guess import impulsive_deorbit
 from perilune.models.deorbit.opportunities import opportunities
 from perilune.models.deorbit.orbit import orbit_state, plane_axes

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.models.physics.bodies import BODIES, EARTH
 from perilune.models.physics.orientation import ELEMENTS, axes_in_space, describe_orientation
 from perilune.models.physics.time_scales import tdb_minus_utc

@@ -14,7 +14,7 @@ import pytest
 import perilune as pl
 from carried import Carried
 from perilune.cli import run_command_line
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.io.model_records import model_document, read_model
 from perilune.models.catalogue import KINDS
 from perilune.scenario import load_file

@@ -15,9 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.core.arrays import Vector
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, PeriluneError, Vector
 from perilune.models.deorbit import dynamics as flight, parachute
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Interface, Landing, Parachute, Returner, ReturnOrbit, Transition

@@ -15,8 +15,7 @@ from scipy.optimize import brentq
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.models.descent.problem import Site
 from perilune.models.physics.bodies import CERES, MOON, Body, UniformGravity
 from perilune.models.physics.vehicle import Vehicle

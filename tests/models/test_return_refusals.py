@@ -14,8 +14,7 @@ import pytest
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.core.errors import InfeasibleError, PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, InfeasibleError, PeriluneError
 from perilune.models.deorbit.ballistic_fall import fall, slowest_arrival
 from perilune.models.deorbit.initial_guess import impulsive_deorbit
 from perilune.models.deorbit.interface_bounds import interface_speeds, largest_altitude_change, steepest_angle

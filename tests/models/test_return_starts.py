@@ -6,7 +6,7 @@ import pytest
 
 import perilune as pl
 from matrix import QUICK_RETURNS, WAYS, cover, text_of
-from perilune.core.callbacks import ignore_events
+from perilune.core import ignore_events
 from perilune.direct.initialization import BRIEF, PATIENT, FirstMesh
 from perilune.direct.transcription import Run
 from perilune.methods.indirect.coarse_direct import Coarse

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Interface, Landing, Returner, ReturnOrbit, Separation, Transition
 from perilune.models.physics.vehicle import Throttle

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.callbacks import ignore_events
+from perilune.core import ignore_events
 from perilune.methods.indirect.diagnosis import active_path_condition
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.newton_trials import Trials

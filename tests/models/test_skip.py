@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.errors import InfeasibleError
+from perilune.core import InfeasibleError
 from perilune.models.deorbit.ballistic_fall import fall
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from perilune.core.maths import NUMERIC
-from perilune.core.units import STANDARD_GRAVITY
+from perilune.core import NUMERIC, STANDARD_GRAVITY
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import (
     Atmosphere,

@@ -11,9 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from burn_coast_burn import landed_mass
-from perilune.core.callbacks import ignore_events
-from perilune.core.errors import NotConvergedError, Outcome
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, NotConvergedError, Outcome, ignore_events
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.export_arcs import ends_well
 from perilune.methods.indirect.indirect import Indirect

@@ -18,8 +18,7 @@ from perilune.atlas.query import minimum_search as descending
 from perilune.atlas.query.minimum_search import MinimumSearch
 from perilune.atlas.query.query import open_atlas
 from perilune.cli import run_command_line
-from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, NotConvergedError, Outcome, PeriluneError
 from perilune.methods.evolutionary.genetic import Genetic
 from perilune.problem.results.solution import Solution
 from perilune.solve import solve

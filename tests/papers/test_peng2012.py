@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from perilune.cli import run_command_line
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.io.columns import required_hamiltonian
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.descent.problem import Site

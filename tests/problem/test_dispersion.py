@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.io.load import load
 from perilune.io.save import save
 from perilune.models.deorbit.problem import deorbit_entry

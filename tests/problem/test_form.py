@@ -16,9 +16,7 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
-from perilune.core.complex_step import COMPLEX
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import COMPLEX, NUMERIC, PeriluneError
 from perilune.io.tape_json import tape_of
 from perilune.problem.named_values import Quantities
 from perilune.problem.problem import Problem

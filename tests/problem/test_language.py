@@ -11,8 +11,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import perilune as pl
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, PeriluneError
 from perilune.io.tape_json import tape_of
 from test_control_law import given, variables
 

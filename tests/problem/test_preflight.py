@@ -15,8 +15,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
-from perilune.core.errors import InfeasibleError, Outcome, PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, InfeasibleError, Outcome, PeriluneError
 from perilune.families.sweep import sweep
 from perilune.models.descent.problem import Ignition, Site, powered_descent
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing

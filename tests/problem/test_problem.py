@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.display.views import Space, Views
 from perilune.problem.named_values import Conditions, Quantities

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.complex_step import COMPLEX, STEP
-from perilune.core.maths import NUMERIC, NUMPY_NAMES
+from perilune.core import COMPLEX, NUMERIC, NUMPY_NAMES, STEP
 from perilune.problem.tracing.lie_derivatives import (
     component,
     depends_on_control,

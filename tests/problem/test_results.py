@@ -14,7 +14,7 @@ import pytest
 from scipy.integrate import quad
 
 import perilune as pl
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.io.save import extremals_document, solution_document
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect

@@ -15,8 +15,7 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.core.errors import NotConvergedError, PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, NotConvergedError, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.evolutionary.fitness import ControlFitness
 from perilune.methods.indirect.unknowns import residual_scales

@@ -21,7 +21,7 @@ import perilune as pl
 from command_line import HYBRID, ROOT, read_json
 from many_problems import transfer
 from perilune.cli import run_command_line
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.io.format import SOLUTION_FILE
 from perilune.io.save import save, solution_document, whole_document
 from perilune.problem.results.solution import Solution

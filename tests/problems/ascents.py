@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from perilune.core.units import Scales
+from perilune.core import Scales
 from perilune.problem.controls import UnitVectorControl
 from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase

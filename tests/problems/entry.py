@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from perilune.core.units import Scales
+from perilune.core import Scales
 from perilune.problem.controls import ScalarControl
 from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase

@@ -6,7 +6,7 @@ singular arc H does not depend on the thrust, so that a direct method in one pha
 
 from __future__ import annotations
 
-from perilune.core.units import Scales
+from perilune.core import Scales
 from perilune.problem.controls import ScalarControl
 from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from perilune.core.units import Scales
+from perilune.core import Scales
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.phase import Phase

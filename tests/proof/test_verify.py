@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, resolve, shoot, solution_of
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.landing.problem import Retro, mass_consistency_checks
 from perilune.problem.controls import ScalarControl, UnitVectorControl

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import fsolve
 
-from perilune.core.errors import Outcome
+from perilune.core import Outcome
 from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase

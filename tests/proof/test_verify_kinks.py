@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.proof.feasible.branch_guards import watched_rates

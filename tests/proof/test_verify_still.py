@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.arrays import Physics
+from perilune.core import Physics
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
 from perilune.problem.variables import Parameter, Variable

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.core.errors import Outcome
+from perilune.core import Outcome
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.precision.problem import Corridor
 from perilune.problem.controls import ScalarControl

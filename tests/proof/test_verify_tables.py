@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from perilune.core.errors import Outcome
+from perilune.core import Outcome
 from perilune.models.precision.problem import Corridor
 from perilune.problem.controls import ScalarControl
 from perilune.problem.named_values import Conditions

@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 from cho import cho_landing
 from command_line import ROOT
 from perilune.cli import run_command_line
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.problem.results.solution import Solution

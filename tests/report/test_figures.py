@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perilune.core.errors import Outcome
+from perilune.core import Outcome
 from perilune.families.family import Family, FamilyPoint
 from perilune.io.columns import Column
 from perilune.io.save import trajectory_csv

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, shoot, solution_of
-from perilune.core.errors import Outcome, PeriluneError
+from perilune.core import Outcome, PeriluneError
 from perilune.io.atomic_files import fresh_directory, json_text
 from perilune.io.columns import hamiltonian, per_unit, phase_columns
 from perilune.io.load import hash_of, load

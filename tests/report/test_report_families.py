@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
+from perilune.core import NotConvergedError, Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint, failed_point
 from perilune.problem.results.extremal import Extremal, Nature
 from perilune.problem.results.solution import Solution

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.models.deorbit.outputs import return_views
 from perilune.problem.results.solution import Solution
 from perilune.report.figures import solution_figures

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import perilune as pl
-from perilune.core.callbacks import ignore_events
+from perilune.core import ignore_events
 from problems.landings import constant_mass, meditch
 
 pytest.importorskip("flint")

@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 
 from perilune.cli import run_command_line
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.scenario import load_file
 
 ROOT = Path(__file__).parents[2]

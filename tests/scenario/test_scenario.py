@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core import InfeasibleError, PeriluneError
 from perilune.models.physics.bodies import MOON
 from perilune.problem.presolve import is_possible, preflight, refuse_impossible
 from perilune.problem.variables import Parameter

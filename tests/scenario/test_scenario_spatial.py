@@ -14,7 +14,7 @@ import perilune as pl
 from command_line import ROOT, read_json
 from perilune.cli import run_command_line
 from perilune.cli.methods import NAMES, method_of
-from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core import InfeasibleError, PeriluneError
 from perilune.scenario import KINDS, load_file, load_text
 from perilune.solve import solve
 from perilune_papers.peng2012.case import CASE, peng_descent

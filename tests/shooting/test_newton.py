@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from newton_toys import toy
-from perilune.core.callbacks import Iteration
+from perilune.core import Iteration
 from perilune.shooting.newton import FINEST, Columns, Ends, Evaluate, Lanes, evaluation_rows, newton
 
 ONE = Columns(n=1)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.callbacks import ignore_events
+from perilune.core import ignore_events
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.refinement.structure_search import StructureRefinement

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.io.save import solution_document
 from perilune.problem.results.arc_sequence import format_arcs
 from perilune.problem.results.solution import Solution

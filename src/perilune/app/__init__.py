@@ -9,6 +9,6 @@ if TYPE_CHECKING:
     from perilune.app.source import Subject, subject_of
     from perilune.app.static_page import build_static_page, default_sliders
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

@@ -12,8 +12,7 @@ import numpy as np
 from perilune import InfeasibleError, NotConvergedError, Parameter, PeriluneError, Problem, Solution, solve
 from perilune.atlas import Atlas, Mapped
 from perilune.conditions import extremal_parameters
-from perilune.core.callbacks import Iteration, Watch, ignore_events
-from perilune.core.errors import CANNOT_BE_FLOWN
+from perilune.core import CANNOT_BE_FLOWN, Iteration, Watch, ignore_events
 from perilune.methods import Curves, solution_violations
 from perilune.shooting import Shooting
 

@@ -13,7 +13,7 @@ from typing import Any
 from perilune import Extremal, Nature, Outcome, Problem, Solution, Verification, solve, verify
 from perilune.app.answers import cost_along_free_parameter
 from perilune.app.messages import proof_message
-from perilune.core.callbacks import Watch
+from perilune.core import Watch
 from perilune.problem.display.quantity_names import objective_text
 
 LEVEL = 3

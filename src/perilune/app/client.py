@@ -24,7 +24,7 @@ from perilune.app.messages import extremals_message, flight_message, opening_mes
 from perilune.app.slices import Slices
 from perilune.app.source import Subject
 from perilune.app.worker import SupersededWork, WorkerKilled, WorkerProcess, in_thread
-from perilune.core.callbacks import Iteration, Watch
+from perilune.core import Iteration, Watch
 
 MESSAGE = 16_384  # bytes that a message may have
 COMPARING = 60.0  # s for the search of a better flight without an initial guess

@@ -11,8 +11,7 @@ import numpy as np
 
 from perilune import InfeasibleError, PeriluneError, Solution, Verification
 from perilune.app.source import Subject
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import CANNOT_BE_FLOWN
+from perilune.core import CANNOT_BE_FLOWN, Matrix, Vector
 from perilune.io.atomic_files import finite
 from perilune.io.columns import display_times, phase_columns
 from perilune.io.save import extremals_document, results_document

@@ -9,8 +9,7 @@ import numpy as np
 
 from perilune import PeriluneError, Problem, preflight
 from perilune.atlas import Atlas
-from perilune.core.arrays import Vector
-from perilune.core.fields import Quantity
+from perilune.core import Quantity, Vector
 from perilune.models.catalogue import KINDS, key_of
 from perilune.problem.presolve import is_possible
 

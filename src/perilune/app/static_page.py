@@ -18,7 +18,7 @@ from perilune.app.files import page_files
 from perilune.app.messages import ALL_DIGITS, flight_message, opening_message, refusal_message
 from perilune.app.sliders import Knob
 from perilune.app.source import Subject
-from perilune.core.callbacks import Watch, ignore_events
+from perilune.core import Watch, ignore_events
 
 _ALONG, _BOTH, _POINTS = 61, 15, 60  # flights along one parameter, along each of two; points of a flight
 

@@ -14,7 +14,7 @@ from threading import Thread
 from typing import Any, TypeVar
 
 from perilune import PeriluneError
-from perilune.core.callbacks import Iteration
+from perilune.core import Iteration
 from perilune.families import end_with_parent, ignore_interrupt_in_children
 
 _GRACE = 2.0  # s that work for which nobody waits may go on when other work comes, before its process is ended

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from perilune.atlas.region import Axis as Axis
     from perilune.atlas.store.store import HEADER as HEADER
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.charts import Chart, Extremals, Holds
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.kernels import Map, compile_map
 
 _BESIDE = 1e-4  # of the range of a parameter: where its mixed derivatives are taken; errors are of its square

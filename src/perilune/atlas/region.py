@@ -13,11 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.fields import parameter_name
-from perilune.core.units import format_quantity, format_value_range
-from perilune.core.validation import wrong_type_error
+from perilune.core import (
+    Matrix,
+    PeriluneError,
+    Vector,
+    format_quantity,
+    format_value_range,
+    parameter_name,
+    unknown_name,
+    wrong_type_error,
+)
 from perilune.models.catalogue import key_of
 from perilune.problem.problem import Problem
 

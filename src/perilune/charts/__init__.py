@@ -26,6 +26,6 @@ if TYPE_CHECKING:
     from perilune.charts.reintegrate import ChartReintegration
     from perilune.charts.sheet import Sheet
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from perilune.conditions import Held, attainable_conditions, derive
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.methods import Curves
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal

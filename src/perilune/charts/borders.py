@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from perilune.charts.bound_status import SLACK, BoundStatus
 from perilune.charts.chart import Chart, Extremals, Holds
 from perilune.charts.sheet import Sheet
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix, PeriluneError, Vector
 from perilune.kernels import Map, compile_map
 from perilune.methods import SIGNED
 from perilune.problem.casadi_trace import SYMBOLIC, free_scales

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from perilune.charts.borders import Borders
 from perilune.charts.chart import Chart, Extremals, Holds
 from perilune.charts.sheet import Sheet
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 
 Lanes = NDArray[np.int64]
 

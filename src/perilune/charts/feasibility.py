@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.core.arrays import Matrix
+from perilune.core import Matrix
 from perilune.kernels import compile_map
 from perilune.problem.casadi_trace import SYMBOLIC
 from perilune.problem.presolve import between_bounds, is_possible, preflight

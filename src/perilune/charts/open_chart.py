@@ -13,7 +13,7 @@ from perilune.charts.chart import Chart
 from perilune.charts.polish import Polished, Polisher
 from perilune.charts.reintegrate import ChartReintegration
 from perilune.charts.sheet import Sheet
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.methods import ExtremalRoot, Indirect, compose_solution
 from perilune.problem.casadi_trace import free_scales
 from perilune.problem.problem import Problem

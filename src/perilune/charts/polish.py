@@ -26,7 +26,7 @@ from perilune.charts.chart import Chart, orientation
 from perilune.charts.midpoint_march import MarchedMargins
 from perilune.charts.reintegrate import BoundReintegration, ChartReintegration, ReintegratedExtremals
 from perilune.charts.sheet import Sheet
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.kernels import Map, compile_map
 
 _DONE = 1e-5  # relative: a step that leaves its own square; what is left of it the independent re-integration measures

@@ -33,7 +33,7 @@ from perilune.charts.midpoint_march import (
 )
 from perilune.charts.multiplier_signs import ChartBoundaryArcs
 from perilune.conditions import OptimalityConditions
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.kernels import Map, compile_map
 from perilune.shooting import propagate_lanes
 

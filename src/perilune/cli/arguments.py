@@ -10,7 +10,7 @@ from perilune import PeriluneError
 from perilune.cli.atlas_arguments import add_atlas_commands
 from perilune.cli.command_arguments import add_other_commands, add_solution_commands, add_solving_commands
 from perilune.cli.options import JSON, Option
-from perilune.core.errors import unknown_name
+from perilune.core import unknown_name
 
 _EXIT_CODES = "Exit codes: 0 proved, 2 bad scenario, 3 infeasible, 4 not converged, 5 not proved, 130 stopped."
 

@@ -14,9 +14,7 @@ from perilune.cli.interrupts import advise_on_interrupt, raise_pending_interrupt
 from perilune.cli.output import CommandAnswer, WrittenFiles
 from perilune.cli.progress import LONGEST_LOG, print_note, progress, refuse_unusable_target
 from perilune.cli.sweep import ranges_of_keys, scenario_with_ranges, sweep_executor
-from perilune.core.errors import unknown_name
-from perilune.core.fields import parameter_name, with_key_named
-from perilune.core.units import format_quantity, parse_quantity
+from perilune.core import format_quantity, parameter_name, parse_quantity, unknown_name, with_key_named
 
 if TYPE_CHECKING:
     from perilune import Problem
@@ -90,7 +88,7 @@ def _run_atlas_extend(typed: Namespace) -> CommandAnswer:
 
 def _axis_ranges(atlas: Atlas, vary: list[str]) -> Iterator[tuple[str, tuple[float, float]]]:
     """Yield the typed ranges of axes [SI]."""
-    from perilune.core.fields import Quantity
+    from perilune.core import Quantity
     from perilune.scenario import bounds_of
 
     units = {axis.name: axis.unit for axis in atlas.region.axes}

@@ -26,7 +26,7 @@ from perilune.cli.output import (
     refusal_answer,
 )
 from perilune.cli.progress import LONGEST_LOG, WRITING, failure_kept, print_warnings, progress, refuse_unusable_target
-from perilune.core.units import format_quantity
+from perilune.core import format_quantity
 
 if TYPE_CHECKING:
     from perilune import Solution

@@ -16,8 +16,7 @@ from perilune import PeriluneError
 from perilune.cli.interrupts import handle_interrupt
 from perilune.cli.output import CommandAnswer, print_to_stderr
 from perilune.cli.progress import LONGEST_LOG, progress
-from perilune.core.errors import unknown_name
-from perilune.core.fields import Quantity
+from perilune.core import Quantity, unknown_name
 
 if TYPE_CHECKING:
     from perilune import Problem

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from perilune import PeriluneError
-from perilune.core.errors import unknown_name
+from perilune.core import unknown_name
 
 if TYPE_CHECKING:
     from perilune.methods import Method

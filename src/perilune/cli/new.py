@@ -8,7 +8,7 @@ from pathlib import Path
 
 from perilune import PeriluneError
 from perilune.cli.output import CommandAnswer
-from perilune.core.errors import unknown_name
+from perilune.core import unknown_name
 
 EXAMPLES = "examples"  # beside the kinds, as a word of `perilune new`
 

@@ -47,8 +47,7 @@ def time_limit(typed: argparse.Namespace) -> float | None:
     PeriluneError
         If it is no time with its unit.
     """
-    from perilune.core.fields import with_key_named
-    from perilune.core.units import parse_quantity
+    from perilune.core import parse_quantity, with_key_named
 
     if typed.time_limit is None:
         return None

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from perilune import Finding
-    from perilune.core.callbacks import Iteration
+    from perilune.core import Iteration
     from perilune.scenario import Scenario
 
 LONGEST_LOG = 1000  # lines of progress that a failure keeps

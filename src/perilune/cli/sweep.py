@@ -43,7 +43,7 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
             raise PeriluneError(
                 "--x, --y and --z choose the axes of a figure", expected="--out DIR", advice="state where it goes"
             )
-        from perilune.core.fields import parameter_name
+        from perilune.core import parameter_name
         from perilune.report import require_map
 
         require_map(scenario.problem, tuple(map(parameter_name, over)), axes)

@@ -14,6 +14,6 @@ if TYPE_CHECKING:
     from perilune.conditions.mode_events import select_by_mode
     from perilune.conditions.pontryagin import OptimalityConditions, attainable_conditions, derive
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.scalar_regimes import pivots
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.problem.controls import Regime, Settled, directions, scalars
 from perilune.problem.phase import Phase
 

@@ -20,7 +20,7 @@ from perilune.conditions.control_law import ControlLaw
 from perilune.conditions.known_costates import known_hamiltonian_terms, weighing_costates
 from perilune.conditions.mode_equations import ModeEquations, mode_equations, phase_symbols
 from perilune.conditions.mode_events import events_between_modes, number_of_mode, select_by_mode
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.kernels import Event
 from perilune.problem.casadi_trace import (
     Parameters,

@@ -17,7 +17,7 @@ from perilune.conditions.active_constraints import (
 from perilune.conditions.control_law import ControlLaw, minimising_control
 from perilune.conditions.scalar_regimes import Terms
 from perilune.conditions.singular_control import Motion
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.problem.casadi_trace import SYMBOLIC, Kinked, Parameters, column, elements, trace_sides
 from perilune.problem.controls import Regime
 from perilune.problem.phase import Phase

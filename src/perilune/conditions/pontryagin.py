@@ -30,8 +30,7 @@ import casadi as ca
 from perilune.conditions.active_constraints import Held, attainable_as_equality
 from perilune.conditions.canonical_equations import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
 from perilune.conditions.junction_conditions import contact_point_rows, smooth_junction_rows
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.units import quotient_unit
+from perilune.core import Watch, ignore_events, quotient_unit
 from perilune.problem.casadi_trace import (
     SYMBOLIC,
     Parameters,

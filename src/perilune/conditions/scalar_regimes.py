@@ -9,7 +9,7 @@ from itertools import product
 import casadi as ca
 import numpy as np
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.problem.controls import Regime, ScalarControl, Settled, scalars
 from perilune.problem.phase import Phase
 

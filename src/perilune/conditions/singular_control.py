@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.active_constraints import Held
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.problem.controls import Regime
 
 MOST = 4  # derivatives that are looked at: arcs of order 1 and 2

@@ -55,7 +55,8 @@ def lazy_face(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str
         return import_of_face(package, name)
 
     def names() -> list[str]:
-        return public_names(vars(sys.modules[package]).get("__all__") or face_imports(package))
+        stated = vars(sys.modules[package]).get("__all__")
+        return public_names(stated) if stated else sorted(face_imports(package))
 
     return attribute, names
 

@@ -9,6 +9,6 @@ if TYPE_CHECKING:
     from perilune.direct.propagated_guess import segments_by_simulation
     from perilune.direct.transcription import Transcription
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.direct.blocks import Block
 from perilune.direct.layout import Layout
 

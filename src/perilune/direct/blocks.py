@@ -21,7 +21,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.problem.casadi_trace import (
     SYMBOLIC,
     Parameters,

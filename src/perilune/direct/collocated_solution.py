@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.direct.collocation import Polynomial, Rule
 from perilune.direct.layout import PhaseValues
 from perilune.direct.nlp import ProgramSolution, TranscribedProgram

@@ -19,8 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError
+from perilune.core import Matrix, PeriluneError, Vector
 
 Scheme = Literal["gauss", "radau"]
 

@@ -15,9 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix, PeriluneError, Vector
 from perilune.direct.collocated_solution import Sampler
 from perilune.problem.casadi_trace import (
     Unnumbered,

@@ -13,9 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.errors import InfeasibleError, PeriluneError
-from perilune.core.units import format_quantity
+from perilune.core import InfeasibleError, PeriluneError, Vector, format_quantity
 from perilune.direct.nlp import ProgramSolution, TranscribedProgram
 from perilune.problem.casadi_trace import (
     Unnumbered,

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.direct.collocation import Mesh
 from perilune.direct.transcription import Run
 from perilune.problem.results.solution import Solution
@@ -244,7 +244,7 @@ class FirstMesh:
         NotConvergedError
             If the violation is larger than the error of the mesh.
         """
-        from perilune.core.errors import NotConvergedError
+        from perilune.core import NotConvergedError
         from perilune.direct.inconsistent_conditions import missed_conditions
 
         errors = zip(self.problem.phases, self.run.looked_at(program, best).relative, strict=True)
@@ -298,7 +298,7 @@ class FirstMesh:
         NotConvergedError
             Always.
         """
-        from perilune.core.errors import NotConvergedError
+        from perilune.core import NotConvergedError
         from perilune.direct.inconsistent_conditions import missed_conditions
 
         missed = [f"{name} is missed by {much}" for name, much in missed_conditions(program, answer, MISSED)]

@@ -21,8 +21,7 @@ from typing import Any, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import sign_of_life
+from perilune.core import Matrix, Vector, sign_of_life
 from perilune.direct.assembly import Assembled
 from perilune.direct.reduced_space import AddedWeights, ReducedEquations
 

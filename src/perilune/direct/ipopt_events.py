@@ -11,7 +11,7 @@ from typing import Any, TextIO
 
 import casadi as ca
 
-from perilune.core.callbacks import sign_of_life
+from perilune.core import sign_of_life
 
 
 class IterationCallback(ca.Callback):

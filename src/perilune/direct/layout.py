@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.direct.collocation import Mesh, Rule, Scheme, rule
 from perilune.problem.controls import directions
 from perilune.problem.phase import Phase

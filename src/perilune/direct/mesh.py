@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.direct.collocated_solution import Segment
 from perilune.direct.collocation import Mesh
 from perilune.problem.controls import scalars

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.direct.collocated_solution import Segment
 from perilune.direct.collocation import Rule, rule
 from perilune.problem.casadi_trace import state_scales

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NoReturn
 
-from perilune.core.callbacks import Iteration
-from perilune.core.errors import NotConvergedError
+from perilune.core import Iteration, NotConvergedError
 from perilune.direct.initialization import FirstMesh
 from perilune.direct.transcription import Look, Run
 from perilune.problem.problem import Problem

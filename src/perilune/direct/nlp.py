@@ -26,7 +26,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.direct.assembly import Assembled, assemble_program
 from perilune.direct.blocks import phase_blocks
 from perilune.direct.collocation import Mesh, Scheme

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.direct.collocated_solution import Sampler
 from perilune.direct.first_guess import first_guesses, phase_start
 from perilune.problem.casadi_trace import free_scales, state_scales

@@ -8,11 +8,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Iteration, Watch, ignore_events
-from perilune.core.errors import Outcome, PeriluneError
-from perilune.core.lazy import Deferred
-from perilune.core.validation import require_integers, require_number, wrong_type_error
+from perilune.core import (
+    Deferred,
+    Iteration,
+    Matrix,
+    Outcome,
+    PeriluneError,
+    Vector,
+    Watch,
+    ignore_events,
+    require_integers,
+    require_number,
+    wrong_type_error,
+)
 from perilune.direct.collocation import Mesh, Scheme, rule
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics

@@ -16,6 +16,6 @@ if TYPE_CHECKING:
     from perilune.families.family import Family, FamilyPoint
     from perilune.families.store import MANIFEST, clear_family
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from perilune.core.arrays import Vector
-from perilune.core.callbacks import Watch
+from perilune.core import Vector, Watch
 from perilune.methods import Indirect, Search
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

@@ -18,8 +18,7 @@ from contextlib import contextmanager, suppress
 from socket import create_connection
 from typing import Any
 
-from perilune.core.callbacks import ignore_events
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, ignore_events
 
 _PATIENCE = 10  # seconds, for a scheduler that does not answer
 _LOOK = 5.0  # seconds between looks whether there are workers

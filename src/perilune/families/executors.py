@@ -13,7 +13,7 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 
 Name = TypeVar("Name", bound=Hashable)
 Call = tuple[Any, ...]  # a function and its arguments

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.families.family import Family
 from perilune.io.columns import display_unit
 from perilune.io.exports.table import FlightColumn

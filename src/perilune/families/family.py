@@ -9,11 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from perilune.core.errors import Outcome, PeriluneError, unknown_name
-from perilune.core.facade import method_function
-from perilune.core.fields import parameter_name
-from perilune.core.units import format_value_range
-from perilune.core.validation import check_call, wrong_type_error
+from perilune.core import (
+    Outcome,
+    PeriluneError,
+    check_call,
+    format_value_range,
+    method_function,
+    parameter_name,
+    unknown_name,
+    wrong_type_error,
+)
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 

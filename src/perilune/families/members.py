@@ -12,9 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 
-from perilune.core.callbacks import Watch
-from perilune.core.errors import Outcome, PeriluneError
-from perilune.core.units import format_quantity
+from perilune.core import Outcome, PeriluneError, Watch, format_quantity
 from perilune.families.continuation import Continuation
 from perilune.families.executors import Call, Submits, run_calls
 from perilune.families.family import FamilyPoint, failed_point

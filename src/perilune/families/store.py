@@ -24,9 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from perilune.core.errors import Outcome, PeriluneError
-from perilune.core.lazy import Deferred
-from perilune.core.untrusted_text import bounded_bytes, bounded_text
+from perilune.core import Deferred, Outcome, PeriluneError, bounded_bytes, bounded_text
 from perilune.families.family import FamilyPoint
 from perilune.io.atomic_files import finite
 from perilune.io.format import LARGEST_FILE

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.deprecation import renamed_keywords
-from perilune.core.validation import (
+from perilune.core import (
+    Watch,
     check_call,
+    ignore_events,
+    renamed_keywords,
     require_callable,
     require_level,
     require_path,

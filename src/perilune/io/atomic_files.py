@@ -23,8 +23,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import require_path
+from perilune.core import PeriluneError, require_path
 
 try:
     import fcntl

@@ -17,8 +17,7 @@ from typing import Any, NoReturn, TypeVar, Union, get_args, get_origin, get_type
 
 import numpy as np
 
-from perilune.core.errors import PeriluneError
-from perilune.core.untrusted_text import refuse_nested
+from perilune.core import PeriluneError, refuse_nested
 
 LONGEST_TEXT = 10_000
 DEEPEST_TREE = 16  # brackets; a problem's functions reach 6

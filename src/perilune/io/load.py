@@ -16,10 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import Outcome, PeriluneError, UnknownKindError
-from perilune.core.fields import record_keys, record_of_values
-from perilune.core.untrusted_text import bounded_text, one_line
-from perilune.core.validation import check_call, require_path
+from perilune.core import (
+    Outcome,
+    PeriluneError,
+    UnknownKindError,
+    bounded_text,
+    check_call,
+    one_line,
+    record_keys,
+    record_of_values,
+    require_path,
+)
 from perilune.io.format import (
     FORMAT_NAME,
     FORMAT_VERSION,

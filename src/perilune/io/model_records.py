@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from perilune.core.errors import PeriluneError
-from perilune.core.fields import Quantity, record_keys, record_of_values, record_values, section_of
+from perilune.core import PeriluneError, Quantity, record_keys, record_of_values, record_values, section_of
 from perilune.io.json_checks import finite_number, part, refuse_entry, short_text
 from perilune.models.catalogue import KINDS, kind_named, kind_names, unknown_kind
 from perilune.models.kind import Section

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.io.json_checks import MOST_ENTRIES, refuse_entry, short_text
 from perilune.io.tape_json import tape_of
 from perilune.problem.presolve import Finding, preflight

@@ -14,7 +14,7 @@ from dataclasses import replace
 from string import Formatter
 from typing import Any
 
-from perilune.core.units import Scales
+from perilune.core import Scales
 from perilune.io.json_checks import (
     MOST_ENTRIES,
     checked_record,

@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from perilune import __version__ as perilune_version
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import check_call, require_type, wrong_type_error
+from perilune.core import PeriluneError, check_call, require_type, wrong_type_error
 from perilune.io.atomic_files import finite, fresh_directory, json_text, refuse_unwritten, write_each
 from perilune.io.columns import per_unit, phase_columns, round_degrees
 from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import Table
+from perilune.core import PeriluneError, Table
 from perilune.problem.tracing.tape import ARITY, ROLES, Tape
 
 MOST_INSTRUCTIONS, MOST_TABLES = 50_000, 100  # of one function in a file; the largest of the models has about 200

@@ -17,6 +17,6 @@ if TYPE_CHECKING:
     from perilune.kernels.flight.engine import LANES, compile_arcs
     from perilune.kernels.flight.records import Arcs, ArcStatus, Request
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

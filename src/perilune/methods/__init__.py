@@ -18,6 +18,6 @@ if TYPE_CHECKING:
     from perilune.methods.method import Method
     from perilune.methods.polish import solve_and_polish
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

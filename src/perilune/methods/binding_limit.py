@@ -16,10 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from perilune.core.arrays import Vector
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.errors import NotConvergedError, PeriluneError
-from perilune.core.units import format_bound, format_quantity
+from perilune.core import NotConvergedError, PeriluneError, Vector, Watch, format_bound, format_quantity, ignore_events
 from perilune.direct import ElasticLimit, elastic_limits
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem.display.quantity_names import limit_name, only_in_path, parameter_key, quantity_name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from perilune.core.callbacks import Watch
+from perilune.core import Watch
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 

@@ -14,8 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.core import NotConvergedError, PeriluneError, Watch, ignore_events
 from perilune.direct import ROUGHEST
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.coarse_direct import switches_often

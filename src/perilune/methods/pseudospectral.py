@@ -2,6 +2,6 @@
 
 import sys
 
-from perilune.core.deprecation import moved_module
+from perilune.core import moved_module
 
 sys.modules[__name__] = moved_module(__name__, "perilune.methods.direct.pseudospectral")

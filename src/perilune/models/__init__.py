@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from perilune.models.precision.path_constraints import Corridor
     from perilune.models.precision.problem import Approach, precision_landing
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)
 

@@ -11,8 +11,7 @@ from functools import cache, wraps
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from perilune.core.errors import PeriluneError, UnknownKindError, unknown_name
-from perilune.core.fields import parameter_name
+from perilune.core import PeriluneError, UnknownKindError, parameter_name, unknown_name
 from perilune.models.deorbit import records as deorbit
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.descent.problem import Choices, Ignition, Site, Steering, powered_descent

@@ -6,9 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.fields import Key, record, record_keys
-from perilune.core.validation import require_type
+from perilune.core import Key, PeriluneError, record, record_keys, require_type, unknown_name
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 

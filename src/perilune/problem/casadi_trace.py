@@ -18,9 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMPY_NAMES, Table
+from perilune.core import NUMPY_NAMES, PeriluneError, Table, Vector
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter

@@ -12,10 +12,17 @@ from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.fields import check_values
-from perilune.core.units import Scales, parse_unit
-from perilune.core.validation import require_callable, require_row, require_type, wrong_type_error
+from perilune.core import (
+    PeriluneError,
+    Scales,
+    check_values,
+    parse_unit,
+    require_callable,
+    require_row,
+    require_type,
+    unknown_name,
+    wrong_type_error,
+)
 from perilune.problem.controls import scalars
 from perilune.problem.display.views import Views, check_views
 from perilune.problem.named_values import Quantities, require_named

@@ -17,10 +17,18 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError
-from perilune.core.units import Scales, require_si_unit
-from perilune.core.validation import check_call, check_operands, require_identifier, require_si_number, wrong_type_error
+from perilune.core import (
+    Matrix,
+    PeriluneError,
+    Scales,
+    Vector,
+    check_call,
+    check_operands,
+    require_identifier,
+    require_si_number,
+    require_si_unit,
+    wrong_type_error,
+)
 
 Regime = Literal["lower", "low_interior", "interior", "upper", "held", "direction", "singular"]
 # A limit: a number in SI, or the name of the parameter that holds it.

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import Outcome, PeriluneError, unknown_name
-from perilune.core.validation import check_call, require_type
+from perilune.core import Matrix, Outcome, PeriluneError, Vector, check_call, require_type, unknown_name
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

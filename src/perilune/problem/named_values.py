@@ -6,10 +6,16 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
-from perilune.core.arrays import Physics
-from perilune.core.deprecation import Asked, rewritten_keywords, warn_renamed
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import require_callable, require_distinct, wrong_type_error
+from perilune.core import (
+    Asked,
+    PeriluneError,
+    Physics,
+    require_callable,
+    require_distinct,
+    rewritten_keywords,
+    warn_renamed,
+    wrong_type_error,
+)
 from perilune.problem.variables import Variable
 
 

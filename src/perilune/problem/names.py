@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import require_distinct, require_identifier, wrong_type_error
+from perilune.core import PeriluneError, require_distinct, require_identifier, wrong_type_error
 from perilune.problem.phase import Phase
 
 _OWN = {"time": "the time since the phase began", "phase": "the phase of a row", "H": "the Hamiltonian"}

@@ -11,8 +11,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from perilune.core.arrays import Physics
-from perilune.core.validation import check_call, require_type
+from perilune.core import Physics, check_call, require_type
 from perilune.problem.problem import Problem
 
 

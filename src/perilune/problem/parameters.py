@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from perilune.core.errors import Named
-from perilune.core.fields import Quantity, record_keys, record_values, section_of
+from perilune.core import Named, Quantity, record_keys, record_values, section_of
 from perilune.problem.variables import Parameter
 
 

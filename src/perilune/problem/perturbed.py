@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter
 

@@ -10,10 +10,7 @@ from typing import Any, ClassVar, get_args
 
 import numpy as np
 
-from perilune.core.arrays import Physics, Vector
-from perilune.core.deprecation import RenamedAttribute, renamed_keywords
-from perilune.core.maths import NUMERIC
-from perilune.core.validation import check_call, require_row
+from perilune.core import NUMERIC, Physics, RenamedAttribute, Vector, check_call, renamed_keywords, require_row
 from perilune.problem.controls import Control
 from perilune.problem.display.reprs import ShownPhase
 from perilune.problem.named_values import PAIRS, Conditions, Quantities, accept_pairs, named_variables, require_named

@@ -16,10 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import InfeasibleError, PeriluneError, unknown_name
-from perilune.core.maths import NUMERIC
-from perilune.core.units import format_quantity
-from perilune.core.validation import check_call, require_type, wrong_type_error
+from perilune.core import (
+    NUMERIC,
+    InfeasibleError,
+    PeriluneError,
+    check_call,
+    format_quantity,
+    require_type,
+    unknown_name,
+    wrong_type_error,
+)
 from perilune.problem.controls import scalars
 from perilune.problem.display.quantity_names import limit_name, quantity_name, stating_keys
 from perilune.problem.problem import Problem

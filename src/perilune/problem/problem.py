@@ -28,12 +28,18 @@ from typing import Any, ClassVar, get_args
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Physics
-from perilune.core.deprecation import RenamedAttribute, renamed_keywords
-from perilune.core.errors import unknown_name
-from perilune.core.maths import NUMERIC
-from perilune.core.units import Scales
-from perilune.core.validation import check_call, require_type, wrong_type_error
+from perilune.core import (
+    NUMERIC,
+    Matrix,
+    Physics,
+    RenamedAttribute,
+    Scales,
+    check_call,
+    renamed_keywords,
+    require_type,
+    unknown_name,
+    wrong_type_error,
+)
 from perilune.problem.checks import (
     check_free,
     check_given,

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from perilune.core.fields import quantity, record, record_keys, record_values
-from perilune.core.units import dimension_text, parse_unit
+from perilune.core import dimension_text, parse_unit, quantity, record, record_keys, record_values
 
 _NO_PROOF = "is too large for a proof"
 LARGEST = 1e-3  # of the range of a quantity along the flight

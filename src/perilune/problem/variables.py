@@ -6,12 +6,18 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from perilune.core.deprecation import RenamedAttribute, renamed_keywords
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
-from perilune.core.stated_number import stated_text
-from perilune.core.units import require_si_unit
-from perilune.core.validation import check_call, require_identifier, require_si_number, require_type
+from perilune.core import (
+    NUMERIC,
+    PeriluneError,
+    RenamedAttribute,
+    check_call,
+    renamed_keywords,
+    require_identifier,
+    require_si_number,
+    require_si_unit,
+    require_type,
+    stated_text,
+)
 from perilune.problem.controls import Limit, demand_limits, limit_value
 
 

@@ -10,8 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from perilune.core.facade import method_function
-from perilune.core.validation import check_call
+from perilune.core import check_call, method_function
 from perilune.problem.tolerance import Tolerance
 
 LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked", "theorem")

@@ -10,6 +10,6 @@ if TYPE_CHECKING:
     from perilune.proof.sufficient.second_order import check_local_optimality
     from perilune.proof.sufficient.sensitivities import Resolve
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

@@ -21,9 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from perilune.core.callbacks import sign_of_life
-from perilune.core.errors import PeriluneError
-from perilune.core.units import quotient_unit
+from perilune.core import PeriluneError, quotient_unit, sign_of_life
 from perilune.methods import Method
 from perilune.problem.named_values import Conditions
 from perilune.problem.perturbed import fix_free_parameters

@@ -13,9 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.core.callbacks import sign_of_life
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import require_level
+from perilune.core import PeriluneError, require_level, sign_of_life
 from perilune.methods import Method
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.methods import Indirect
 from perilune.problem.results.extremal import Extremal, Nature
 from perilune.problem.results.solution import Solution

@@ -16,6 +16,6 @@ if TYPE_CHECKING:
     from perilune.report.summary import markdown_table, solution_summary
     from perilune.report.time_histories import history_figure
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

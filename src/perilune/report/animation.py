@@ -15,8 +15,7 @@ import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.validation import require_type, wrong_type_error
+from perilune.core import Matrix, Vector, require_type, wrong_type_error
 from perilune.io.atomic_files import fresh_file, new_file
 from perilune.io.columns import flight_columns
 from perilune.problem.results.solution import Solution

@@ -16,8 +16,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
 from perilune.atlas import Axis, Slice
-from perilune.core.arrays import Vector
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, Vector
 from perilune.io.atomic_files import fresh_directory, refuse_unwritten, write_each
 from perilune.io.columns import display_unit
 from perilune.report.contour_map import label_lines, move_labels_inside

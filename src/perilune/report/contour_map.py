@@ -20,9 +20,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import Outcome, PeriluneError, unknown_name
-from perilune.core.fields import parameter_name
+from perilune.core import Matrix, Outcome, PeriluneError, Vector, parameter_name, unknown_name
 from perilune.families import Family, grid_of, member_quantities, result_fields
 from perilune.problem.problem import Problem
 from perilune.report.style import GREY, VERMILION, new_figure, styled

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.core.arrays import Matrix
+from perilune.core import Matrix
 from perilune.io.columns import display_times, phase_columns
 from perilune.problem.display.views import Corridor
 from perilune.problem.results.solution import Solution

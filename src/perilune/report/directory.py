@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.problem.results.solution import Solution
 
 REPORT_FILE = "report.md"

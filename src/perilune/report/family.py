@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from perilune.core.errors import Outcome
+from perilune.core import Outcome
 from perilune.io.atomic_files import finite, fresh_directory, json_text, refuse_unwritten, write_each
 from perilune.io.columns import display_unit, round_degrees
 from perilune.io.save import results_document

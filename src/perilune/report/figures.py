@@ -9,8 +9,7 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.core.errors import Outcome
-from perilune.core.untrusted_text import one_line
+from perilune.core import Outcome, one_line
 from perilune.io.columns import phase_columns
 from perilune.problem.display.views import History
 from perilune.problem.problem import Problem

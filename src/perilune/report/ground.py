@@ -12,7 +12,7 @@ from importlib.resources import files
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.io.columns import display_times, phase_columns
 from perilune.problem.display.views import Ground
 from perilune.problem.results.solution import Solution

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.io.columns import display_times, hamiltonian, hamiltonian_terms, per_unit, required_hamiltonian
 from perilune.problem.controls import directions
 from perilune.problem.results.solution import Solution

@@ -14,7 +14,7 @@ import matplotlib
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from perilune.core.units import format_quantity
+from perilune.core import format_quantity
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Verification

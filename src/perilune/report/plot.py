@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from perilune.core.errors import unknown_name
-from perilune.core.validation import require_type, wrong_type_error
+from perilune.core import require_type, unknown_name, wrong_type_error
 from perilune.problem.results.solution import Solution
 from perilune.report.figures import solution_drawings
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.io.columns import display_times
 from perilune.problem.results.solution import Solution
 from perilune.report.style import GREY, LOOKS, new_figure, styled

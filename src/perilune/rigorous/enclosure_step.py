@@ -18,7 +18,7 @@ from typing import Any
 
 from flint import arb, arb_mat, ctx
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.rigorous.equations import CanonicalArc
 from perilune.rigorous.taylor import Ball, Coefficients
 

@@ -13,8 +13,7 @@ from typing import Any
 
 from flint import arb, fmpq
 
-from perilune.core.errors import PeriluneError
-from perilune.core.units import exact_quantity, parse_quantity
+from perilune.core import PeriluneError, exact_quantity, parse_quantity
 from perilune.problem.tracing.tape import ROLES, Expression as Taped
 from perilune.problem.variables import Parameter
 from perilune.rigorous.graph import Graph, GraphExpression

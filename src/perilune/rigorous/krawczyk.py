@@ -17,7 +17,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.rigorous.boundary_value_problem import BoundaryProblem
 from perilune.rigorous.enclosure import (
     EnclosedFlight,

@@ -15,7 +15,7 @@ from typing import Any
 
 from flint import arb, arb_series, ctx
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.rigorous.graph import Graph, GraphExpression, node_operands
 
 Ball = Any  # flint.arb, which comes without types

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from perilune.core.callbacks import Watch, ignore_events
+from perilune.core import Watch, ignore_events
 from perilune.problem.results.solution import Solution
 from perilune.problem.verification import THEOREM, Check, Verification
 from perilune.rigorous.statement import certificate_document, theorem_text, unproved_sentence

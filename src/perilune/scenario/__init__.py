@@ -16,9 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from perilune.core.facade import public_names
-from perilune.core.fields import Quantity
-from perilune.core.validation import check_call, require_path, require_type
+from perilune.core import Quantity, check_call, public_names, require_path, require_type
 from perilune.models.catalogue import KINDS, kind_names
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance

@@ -9,8 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
-from perilune.core.errors import PeriluneError
-from perilune.core.fields import record_values
+from perilune.core import PeriluneError, record_values
 from perilune.models.deorbit.records import Interface, Landing, Returner
 from perilune.models.descent.problem import Ignition, Site
 from perilune.models.landing.problem import LandingSite, Orbit

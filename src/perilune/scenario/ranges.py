@@ -6,11 +6,18 @@ import math
 import re
 from collections.abc import Mapping
 
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.fields import LONGEST_VALUE, Quantity, with_key_named
-from perilune.core.units import parse_quantity
-from perilune.core.untrusted_text import one_line
-from perilune.core.validation import check_call, require_type, wrong_type_error
+from perilune.core import (
+    LONGEST_VALUE,
+    PeriluneError,
+    Quantity,
+    check_call,
+    one_line,
+    parse_quantity,
+    require_type,
+    unknown_name,
+    with_key_named,
+    wrong_type_error,
+)
 
 MOST_STEPS = 10_000
 _BARE = r"[-+]?nan|[-+]?inf|[-+\d.]+(?:[eE][-+]?\d+)?"  # what stands before a unit; if it is a number its reader says

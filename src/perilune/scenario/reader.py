@@ -6,8 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.fields import Key, Quantity, TextField, record_keys, record_of_values, with_key_named
+from perilune.core import (
+    Key,
+    PeriluneError,
+    Quantity,
+    TextField,
+    record_keys,
+    record_of_values,
+    unknown_name,
+    with_key_named,
+)
 from perilune.models.catalogue import HYBRID, KINDS, kind_named
 from perilune.models.kind import PROOF, Kind, Section
 from perilune.models.physics.bodies import Body, recognise_body

@@ -5,9 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 
-from perilune.core.errors import PeriluneError
-from perilune.core.fields import Key, Quantity
-from perilune.core.validation import check_call, wrong_type_error
+from perilune.core import Key, PeriluneError, Quantity, check_call, wrong_type_error
 from perilune.models.catalogue import KINDS, kind_named, kind_names, one_line_error, unknown_kind
 from perilune.models.kind import Kind, Section
 from perilune.scenario.reader import names_files, names_of, problem_of, tolerance_of

@@ -9,8 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from perilune.core.errors import PeriluneError
-from perilune.core.untrusted_text import bounded_text, refuse_nested
+from perilune.core import PeriluneError, bounded_text, refuse_nested
 from perilune.models.catalogue import KINDS
 
 LARGEST_FILE = 64 * 1024  # bytes; a complete scenario takes about one thousand

@@ -12,6 +12,6 @@ if TYPE_CHECKING:
     from perilune.shooting.propagate import propagate_arc, propagate_lanes
     from perilune.shooting.shooting_function import Root, Roots, Shooting
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

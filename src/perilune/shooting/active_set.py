@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from perilune.conditions import OptimalityConditions
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch
+from perilune.core import Matrix, Vector, Watch
 from perilune.problem.problem import Problem
 from perilune.shooting.shooting_function import Roots, Shooting
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.shooting.shooting_function import Root
 
 Correct = Callable[[Vector, float], Root]  # (predicted Y, value) -> root

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions import PhaseExtremal
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.kernels import DenseArc
 from perilune.shooting.propagate import Equations, arc_engine, mode_at, propagate_arc
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.shooting.newton import AMPLIFIED, LAST_DIGITS, SETTLED, TOLERANCE
 from perilune.shooting.shooting_function import Root, Shooting
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions import OptimalityConditions
-from perilune.core.arrays import Batch, Matrix, Vector
+from perilune.core import Batch, Matrix, Vector
 from perilune.kernels import LANES, BoundArcs, Engine, Request, compile_map
 from perilune.shooting import newton
 from perilune.shooting.plan import Plan, plan

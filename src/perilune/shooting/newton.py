@@ -24,8 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Iteration, Watch, ignore_events
+from perilune.core import Iteration, Matrix, Vector, Watch, ignore_events
 
 Lanes = NDArray[np.int64]
 

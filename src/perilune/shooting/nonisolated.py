@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.core.arrays import Matrix
+from perilune.core import Matrix
 from perilune.shooting.newton import AMPLIFIED, LAST_DIGITS, ROUND_OFF, SETTLED, Lanes
 from perilune.shooting.shooting_function import Root, Roots, Shooting
 

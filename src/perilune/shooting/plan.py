@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions import OptimalityConditions
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.kernels import LANES, Engine, Request
 from perilune.shooting.contracting_phases import MOST_STEPS, settling_equations
 from perilune.shooting.newton import Columns

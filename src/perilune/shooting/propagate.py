@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions import PhaseExtremal
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.kernels import Arcs, DenseArc, Engine, Event, compile_arcs, prune
 
 

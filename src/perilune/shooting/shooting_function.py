@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions import OptimalityConditions
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Iteration, Watch
+from perilune.core import Iteration, Matrix, Vector, Watch
 from perilune.shooting.integrate_plan import fleet, jacobians
 from perilune.shooting.newton import FINEST, TOLERANCE, Ends, Lanes, newton
 from perilune.shooting.plan import Plan

@@ -14,6 +14,6 @@ if TYPE_CHECKING:
     from perilune.structures.state_margins import refine_minima
     from perilune.structures.structure import Arc, Structure, part_name
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)

@@ -8,8 +8,7 @@ from itertools import groupby
 
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.lazy import Deferred
+from perilune.core import Deferred, Vector
 from perilune.problem.controls import scalars
 from perilune.problem.phase import Phase
 from perilune.problem.results.arc_sequence import NamedArc

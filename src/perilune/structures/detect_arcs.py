@@ -15,7 +15,7 @@ from weakref import ref
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.structures.detect_regimes import (

@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.problem.controls import ScalarControl, Settled, scalars
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

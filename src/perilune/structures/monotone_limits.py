@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 from perilune.problem.controls import Control
 from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase

@@ -19,8 +19,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
-from perilune.core.errors import PeriluneError
-from perilune.core.units import format_value_range
+from perilune.core import PeriluneError, format_value_range
 from perilune.problem.controls import Control, ScalarControl
 from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase

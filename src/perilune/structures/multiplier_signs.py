@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.polynomial.chebyshev import chebpts1
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.problem.controls import ScalarControl, control_scales, control_slices, normalised, tangents
 from perilune.problem.results.solution import Solution, full
 from perilune.structures.detect_regimes import runs_by_kind

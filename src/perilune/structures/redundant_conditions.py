@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import component
 from perilune.problem.tracing.tape import Expression

@@ -19,7 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.structures.detect_arcs import CLOSEST, Contact, arcs_of

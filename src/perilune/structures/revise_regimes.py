@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.problem.controls import ScalarControl
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

@@ -12,9 +12,7 @@ from itertools import islice
 
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.errors import Outcome, PeriluneError
-from perilune.core.lazy import Deferred
+from perilune.core import Deferred, Outcome, PeriluneError, Vector
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal
 from perilune.problem.results.solution import Solution

@@ -14,8 +14,7 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
-from perilune.core.errors import unknown_name
-from perilune.core.units import quotient_unit
+from perilune.core import quotient_unit, unknown_name
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import (

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix, Vector
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, full
 from perilune.problem.tracing.tape import Expression

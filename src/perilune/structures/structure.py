@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
 from perilune.structures.state_constraints import conditions_of, margins, state_conditions

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from scipy.optimize import brentq
 
 from perilune import Extremal, Family, Outcome, PeriluneError, Solution, solve, sweep
-from perilune.core.callbacks import Watch
+from perilune.core import Watch
 from perilune.models.landing.problem import Retro
 from perilune_papers.cho2015.case import ACCELERATIONS, CONSTANTS, IMPULSES, PRINTED, RETRO_BURNS, cho_landing
 from perilune_papers.paper import worst_solution

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from perilune import Problem, Solution
-from perilune.core.arrays import Vector
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Vector
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit
 from perilune.models.physics.bodies import Planet

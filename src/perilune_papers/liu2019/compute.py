@@ -14,9 +14,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from perilune import Outcome, PeriluneError, Solution, opposite, preflight, solve
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix, Vector, Watch
 from perilune.models.deorbit import orbit
 from perilune.models.physics.rotating_frame import cross_product, local_axes, scalar_product
 from perilune_papers.liu2019.case import (

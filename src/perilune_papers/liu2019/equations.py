@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Batch, Matrix, Vector
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Batch, Matrix, Vector
 from perilune.models.deorbit.orbit import AXIS
 from perilune.models.physics.flight_path import (
     FlightPath,

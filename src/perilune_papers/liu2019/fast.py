@@ -18,8 +18,7 @@ import numpy as np
 
 from perilune import Genetic, PeriluneError, Problem, solve
 from perilune.atlas import Atlas, build, open as open_atlas
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch
+from perilune.core import Matrix, Vector, Watch
 from perilune.methods import Nearby
 from perilune_papers.liu2019.members import ManoeuvreMember, predict_by_cubic
 

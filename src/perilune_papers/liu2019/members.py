@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perilune import PeriluneError, Solution, solve
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch
+from perilune.core import Matrix, Vector, Watch
 from perilune_papers.liu2019.case import CASE, paper_costates
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune import Solution
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.report import line_figure, markdown_table, solution_drawings, solution_summary
 from perilune_papers.liu2019.case import CASE, paper_costates
 from perilune_papers.liu2019.compute import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from perilune import Genetic, Hybrid, Indirect, Problem, solve
-from perilune.core.callbacks import Watch
+from perilune.core import Watch
 from perilune_papers.liu2019.case import site_fixed, site_free
 from perilune_papers.starts import Starts, run_starts
 

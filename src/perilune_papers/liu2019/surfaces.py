@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.tri import TriAnalyzer, Triangulation
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.report import markdown_table, new_figure, styled
 from perilune_papers.liu2019.equations import NAMES
 from perilune_papers.liu2019.members import ManoeuvreMember, is_variable, prediction_error

@@ -7,7 +7,7 @@ from statistics import median
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.report import markdown_table
 from perilune_papers.liu2019.case import PRINTED_TIMES
 from perilune_papers.liu2019.compute import LiuReproduction

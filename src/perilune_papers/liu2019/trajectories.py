@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.core.arrays import Matrix
+from perilune.core import Matrix
 from perilune.report import LOOKS, legend_above, markdown_table, new_figure, styled, track_on_map
 from perilune_papers.liu2019.compute import LiuReproduction, ManoeuvreMember, burn_until
 from perilune_papers.liu2019.printed import TABLES_1_AND_3, Experiment

@@ -12,9 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from perilune import Genetic, Hybrid, Outcome, PeriluneError, Pseudospectral, Solution, solve
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix, Vector, Watch
 from perilune.methods import ControlFitness
 from perilune.models.physics.rotating_frame import combine, heading_axes, spherical_coordinates
 from perilune_papers.peng2012.case import (

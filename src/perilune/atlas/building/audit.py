@@ -26,9 +26,7 @@ from perilune.atlas.store.cells import WHOLE
 from perilune.atlas.store.schema import cell_type, node_type, sheets_of
 from perilune.atlas.store.store import PATIENCE, AtlasStore
 from perilune.charts import SLACK, Sheet
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.errors import NotConvergedError, PeriluneError
-from perilune.core.validation import wrong_type_error
+from perilune.core import NotConvergedError, PeriluneError, Watch, ignore_events, wrong_type_error
 from perilune.families import Call, Submits, run_calls
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

@@ -21,10 +21,16 @@ from perilune.atlas.store.store import MANIFEST, PATIENCE, AtlasStore, clear_atl
 from perilune.atlas.survey.neighbour_seeds import Key
 from perilune.atlas.survey.survey import Survey
 from perilune.atlas.survey.surveyed_chart import SurveyedChart, chart_entry, seed_rows
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.deprecation import renamed_keywords
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import check_call, require_callable, require_path, require_type
+from perilune.core import (
+    PeriluneError,
+    Watch,
+    check_call,
+    ignore_events,
+    renamed_keywords,
+    require_callable,
+    require_path,
+    require_type,
+)
 from perilune.families import Call, Submits, begin_processes, run_calls
 from perilune.io.load import reread_problem
 from perilune.io.presolve_json import comparisons_document, same_comparisons

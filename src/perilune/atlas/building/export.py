@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from perilune.atlas.building.audit import sample_of
 from perilune.atlas.query.query import Atlas
 from perilune.atlas.query.reader import are_possible_answers
-from perilune.core.errors import PeriluneError
-from perilune.core.units import quotient_unit
-from perilune.core.validation import check_call, require_type
+from perilune.core import PeriluneError, check_call, quotient_unit, require_type
 from perilune.io.atomic_files import fresh_file, new_file
 from perilune.io.exports.formats import format_of
 from perilune.io.save import program_versions

@@ -37,10 +37,15 @@ from perilune.atlas.survey.corner_continuation import Corners, continue_between_
 from perilune.atlas.survey.survey import Survey
 from perilune.atlas.survey.surveyed_chart import InteriorSeed, SurveyedChart, chart_entry, seed_rows
 from perilune.charts import Borders, Chart, Sheet, arc_sequence_from, same_unknowns
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.deprecation import renamed_keywords
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import check_call, require_callable, require_path
+from perilune.core import (
+    PeriluneError,
+    Watch,
+    check_call,
+    ignore_events,
+    renamed_keywords,
+    require_callable,
+    require_path,
+)
 from perilune.families import Submits
 from perilune.methods import Indirect
 from perilune.problem.problem import Problem

@@ -36,11 +36,15 @@ from perilune.atlas.store.schema import (
     widths_of,
 )
 from perilune.atlas.store.store import HEADER, AtlasStore, clear_atlas
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.deprecation import renamed_keywords
-from perilune.core.errors import PeriluneError
-from perilune.core.units import format_quantity
-from perilune.core.validation import check_call, require_path
+from perilune.core import (
+    PeriluneError,
+    Watch,
+    check_call,
+    format_quantity,
+    ignore_events,
+    renamed_keywords,
+    require_path,
+)
 from perilune.io.atomic_files import fresh_directory
 from perilune.problem.problem import Problem
 

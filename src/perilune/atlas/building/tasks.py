@@ -23,8 +23,7 @@ from perilune.atlas.store.schema import cell_type, node_type, places_of, seed_ty
 from perilune.atlas.store.store import AtlasStore
 from perilune.atlas.survey.neighbour_seeds import Key, Shards, seeds_for_neighbours
 from perilune.charts import ArcSequence, Borders, Chart, ChartReintegration, Sheet, arc_sequence_from
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch, ignore_events
+from perilune.core import Matrix, Vector, Watch, ignore_events
 from perilune.problem.problem import Problem
 
 

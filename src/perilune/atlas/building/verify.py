@@ -22,9 +22,7 @@ from perilune.atlas.query.query import Atlas
 from perilune.atlas.query.reader import are_possible_answers
 from perilune.atlas.store.schema import cell_type, node_type, seed_type
 from perilune.atlas.store.store import MANIFEST
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.deprecation import renamed_keywords
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, Watch, ignore_events, renamed_keywords
 
 _UNENDED = "bricks are missing: the build has not ended, or they were lost; perilune atlas extend DIR builds them"
 _TOLD = 10  # places that a query refuses, in words

@@ -47,8 +47,7 @@ from perilune.atlas.store.cells import (
     shortest_ending_edge,
 )
 from perilune.charts import SLACK, same_unknowns
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch, ignore_events
+from perilune.core import Matrix, Vector, Watch, ignore_events
 
 _KINKED = 2**9  # the shortest edge of a cell where the switches on the way change
 _WORST = 2**8  # the same of sheets that are no minima

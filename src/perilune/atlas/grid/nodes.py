@@ -18,7 +18,7 @@ from perilune.atlas.hermite import binary_digits, corner_terms, interpolated, sc
 from perilune.atlas.store.cell_coverage import Extremal, found_in_branches
 from perilune.atlas.store.cells import WHOLE, Cells, Cut, Nodes, Whole, select_cells
 from perilune.charts import Borders, Chart, ChartReintegration, Extremals, Holds, Sheet, follow_sheets
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 
 _SEEN = ("residual", "path", "minimum", "drift")  # of independent re-integrations: columns of nodes
 _BITS = 13  # of a place along one axis, so that 4 of them and a branch make one number

@@ -16,9 +16,7 @@ from perilune.atlas.query.minimum_search import KnownExtremals
 from perilune.atlas.query.reader import SERVING, AtlasReader, LoadedBrick
 from perilune.atlas.store.cells import WHOLE, Status
 from perilune.charts import Lanes, OpenChart, Polished
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import require_numbers
+from perilune.core import Matrix, PeriluneError, Vector, require_numbers
 
 _TOGETHER = 4096  # points, so that what lies at the corners of their cells fits into a cache
 

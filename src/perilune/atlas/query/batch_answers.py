@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 
 _CLEARLY = 1e-3  # relative: cells give J to 1e-6 where one step is enough, and are never so wrong
 _SAME = 1e-10  # relative: J of one flight by way of two charts

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.charts import SLACK, Lanes, OpenChart, Polished
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 
 _HERE = np.zeros(1, dtype=np.int64)  # one point is one lane
 

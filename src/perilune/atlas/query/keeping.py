@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.charts import MOST, SLACK, Borders, Chart, Sheet
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.problem.results.extremal import Nature
 
 _TURNS = 8  # times that bounds are taken and let go

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from perilune.atlas.query.keeping import correct_active_set
 from perilune.atlas.survey.other_minima import BARE, Bounds, HeldFamilies
 from perilune.charts import SLACK, Borders, Lanes, OpenChart
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 
 _STEPS = 16  # of a way from bound to bound
 _ROUNDS = 2  # over the ranges of several parameters

@@ -23,10 +23,16 @@ from perilune.atlas.query.minimum_search import KnownExtremals
 from perilune.atlas.query.reader import SERVING, AtlasReader, are_possible_answers
 from perilune.atlas.store.cells import WHOLE, Status
 from perilune.charts import MarchedMargins
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import NotConvergedError, PeriluneError, unknown_name
-from perilune.core.fields import parameter_name
-from perilune.core.validation import check_call, require_path
+from perilune.core import (
+    Matrix,
+    NotConvergedError,
+    PeriluneError,
+    Vector,
+    check_call,
+    parameter_name,
+    require_path,
+    unknown_name,
+)
 from perilune.methods import ExtremalRoot
 from perilune.problem.perturbed import with_given_unchecked
 from perilune.problem.presolve import preflight, refuse_impossible

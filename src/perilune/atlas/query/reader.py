@@ -29,9 +29,7 @@ from perilune.atlas.store.schema import (
 )
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.charts import SLACK, Allowed, OpenChart, Sheet, point_feasibility
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import check_call, require_numbers, wrong_type_error
+from perilune.core import Matrix, PeriluneError, Vector, check_call, require_numbers, wrong_type_error
 from perilune.problem.problem import Problem
 
 SERVING = (Status.ONE_STEP, Status.MORE_STEPS)

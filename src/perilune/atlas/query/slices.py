@@ -18,11 +18,16 @@ from perilune.atlas.query.query import Atlas
 from perilune.atlas.query.reader import SERVING
 from perilune.atlas.region import Axis
 from perilune.atlas.store.cells import WHOLE
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.fields import parameter_name
-from perilune.core.units import format_value_range
-from perilune.core.validation import check_call, require_type
+from perilune.core import (
+    Matrix,
+    PeriluneError,
+    Vector,
+    check_call,
+    format_value_range,
+    parameter_name,
+    require_type,
+    unknown_name,
+)
 from perilune.models.catalogue import key_of
 from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.hermite import binary_digits, interpolated
 from perilune.atlas.store.cells import Cells, Nodes, Status, Whole, select_cells
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 
 _TORN, _SMALL = 0.5, 1e-3  # by how much an edge may differ from a trapezoid: of what its slopes say, and of 1 + |y|
 _ALIKE = 1e-3  # relative: what a cell gives, and an extremal that it has

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.hermite import binary_digits, interpolated
 from perilune.charts import same_unknowns
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 
 WHOLE = 2**12  # lattice steps along an edge of a block
 _CLEARLY = 1.5  # times as far below zero as it differs at the corners and in the middle of a cell

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 from pathlib import Path
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 
 
 def unusable_atlas_error(

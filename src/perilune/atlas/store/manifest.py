@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.io.atomic_files import finite
 from perilune.io.json_checks import tree
 from perilune.problem.results.extremal import Nature

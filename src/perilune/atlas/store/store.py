@@ -42,8 +42,7 @@ from perilune.atlas.store.manifest import (
     refuse_no_survey,
     written_line,
 )
-from perilune.core.errors import PeriluneError
-from perilune.core.untrusted_text import bounded_text
+from perilune.core import PeriluneError, bounded_text
 from perilune.io.atomic_files import finite, json_text, refuse_name_of_file
 from perilune.io.format import LARGEST_FILE
 from perilune.io.json_checks import tree

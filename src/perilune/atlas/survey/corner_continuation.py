@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.charts import Borders, Chart, Sheet, follow_sheets
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 
 Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a branch by the numbers of corners
 

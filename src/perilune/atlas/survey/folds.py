@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from perilune.atlas.region import Region
 from perilune.atlas.store.schema import open_chart
 from perilune.charts import Borders, Chart, Sheet
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError
+from perilune.core import Matrix, PeriluneError, Vector
 from perilune.methods import ExtremalRoot
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature

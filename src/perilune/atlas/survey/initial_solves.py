@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from perilune.atlas.region import Region
 from perilune.atlas.survey.other_minima import HeldFamilies
 from perilune.charts import ArcSequence, Chart, OpenChart, arc_sequence_of, same_unknowns
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch
-from perilune.core.errors import PeriluneError
+from perilune.core import Matrix, PeriluneError, Vector, Watch
 from perilune.methods import Indirect, Search
 from perilune.problem.display.quantity_names import free_name
 from perilune.problem.perturbed import narrow_free_parameters

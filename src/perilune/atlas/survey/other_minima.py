@@ -22,7 +22,7 @@ from perilune.charts import (
     StraightContinuation,
     line_places,
 )
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.methods import SIGNED
 from perilune.problem.results.extremal import Nature
 from perilune.structures import margins

@@ -45,9 +45,7 @@ from perilune.charts import (
     same_unknowns,
 )
 from perilune.conditions import attainable_conditions
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch
-from perilune.core.errors import PeriluneError
+from perilune.core import Matrix, PeriluneError, Vector, Watch
 from perilune.methods import Indirect
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal, Nature

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from perilune.atlas.grid.bound_crossing import continuing_sheets
 from perilune.atlas.store.schema import seed_type
 from perilune.charts import Borders, Chart, Sheet, same_unknowns
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.problem.results.extremal import Nature
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.io.atomic_files import json_text
 from perilune.io.exports.epochs import stamp
 from perilune.io.exports.inertial_path import JUMP, InertialLeg, legs, separate_jumps, space_of

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from perilune.core.datetimes import END, EXAMPLE, instant
-from perilune.core.errors import PeriluneError
+from perilune.core import END, EXAMPLE, PeriluneError, instant
 from perilune.models.physics.time_scales import leap_seconds_within, utc_after
 from perilune.problem.results.solution import Solution
 

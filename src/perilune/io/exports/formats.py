@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core import PeriluneError, unknown_name
 
 ENDINGS = {"netcdf": ".nc", "csv": ".csv", "parquet": ".parquet", "oem": ".oem", "czml": ".czml"}
 

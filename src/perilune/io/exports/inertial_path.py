@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError
+from perilune.core import Matrix, PeriluneError, Vector
 from perilune.io.columns import times_around_switches
 from perilune.problem.display.views import Space
 from perilune.problem.results.solution import Solution

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from perilune.core.errors import PeriluneError
-from perilune.core.untrusted_text import one_line
+from perilune.core import PeriluneError, one_line
 from perilune.io.columns import node_times
 from perilune.io.exports.epochs import TICK, leap_seconds_sentence, stamp_of_tick
 from perilune.io.exports.inertial_path import InertialLeg, legs, space_of

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.io.columns import Column, node_times, phase_columns
 from perilune.io.exports.inertial_path import separate_jumps
 from perilune.problem.display.views import Space

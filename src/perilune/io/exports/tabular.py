@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perilune import __version__
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.io.columns import round_degrees
 from perilune.io.exports.epochs import leap_seconds_sentence, stamp
 from perilune.io.exports.table import FlightColumn, FlightTable

@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import check_call, require_type, wrong_type_error
+from perilune.core import PeriluneError, check_call, require_type, wrong_type_error
 from perilune.io.atomic_files import fresh_file, new_file
 from perilune.io.exports.epochs import flight_epoch, needed_epoch
 from perilune.io.exports.formats import ENDINGS, format_of

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.kernels.algebra.tables import with_tables
 
 #: Operations by CasADi's name for them (without ``OP_``), and ours.

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 
 
 @dataclass(frozen=True, kw_only=True)

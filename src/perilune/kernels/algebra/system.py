@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.kernels.algebra.program import Program, trace_function
 
 

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from perilune.core.arrays import Matrix
-from perilune.core.errors import PeriluneError
+from perilune.core import Matrix, PeriluneError
 from perilune.kernels.algebra.program import trace_function
 from perilune.kernels.code import cache as disk, native
 from perilune.kernels.code.emit import emit_kernel, library

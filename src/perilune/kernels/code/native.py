@@ -11,8 +11,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from perilune.core.callbacks import sign_of_life
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, sign_of_life
 
 _PIECES = 1 << 23, 1 << 12, 1 << 14, 1 << 16, 1 << 20  # bytes: sections of all sizes
 _TOGETHER = 2**31 - 2**27

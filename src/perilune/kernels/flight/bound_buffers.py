@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from perilune.core.arrays import Batch, Matrix
+from perilune.core import Batch, Matrix
 from perilune.kernels.flight.dense import DenseArc
 from perilune.kernels.flight.records import INFO, MAX_EVENTS, Arcs, ArcStatus, Request
 

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from perilune.core.arrays import Batch, Matrix, Vector
+from perilune.core import Batch, Matrix, Vector
 from perilune.kernels.flight import tableau
 from perilune.kernels.flight.records import Arcs
 

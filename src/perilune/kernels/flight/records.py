@@ -11,8 +11,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from perilune.core.arrays import Batch, Matrix, Vector
-from perilune.core.errors import PeriluneError
+from perilune.core import Batch, Matrix, PeriluneError, Vector
 
 #: Events recorded for each lane; an arc with more ends with `ArcStatus.STEP_LIMIT`.
 MAX_EVENTS = 64

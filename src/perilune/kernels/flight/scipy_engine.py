@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.kernels.algebra.system import ArcSystem
 from perilune.kernels.flight.bound_buffers import BoundArcs
 from perilune.kernels.flight.dense import DenseArc, dense_arc

@@ -13,9 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.deprecation import renamed_keywords
-from perilune.core.validation import check_call
+from perilune.core import Watch, check_call, ignore_events, renamed_keywords
 from perilune.direct import MeshRefinement, Transcription
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

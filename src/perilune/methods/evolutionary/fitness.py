@@ -29,9 +29,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions import derive, extremal_parameters
-from perilune.core.arrays import Batch, Matrix, Vector
-from perilune.core.errors import Outcome
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Batch, Matrix, Outcome, Vector
 from perilune.methods.indirect.export_arcs import propagate_in_one_piece
 from perilune.methods.indirect.exported_phases import assemble_trajectories
 from perilune.methods.indirect.unknowns import free_values, scaled_end_multipliers

@@ -22,9 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import check_call, require_integers, require_number
+from perilune.core import Matrix, PeriluneError, Vector, check_call, require_integers, require_number
 
 Indices = NDArray[np.intp]
 Objective = Callable[[Matrix], Vector]  # (population, n) -> (population,); smaller is better, non-finite is worst

@@ -12,10 +12,15 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
-from perilune.core.callbacks import Watch, ignore_events
-from perilune.core.deprecation import renamed_keywords
-from perilune.core.errors import NotConvergedError, PeriluneError
-from perilune.core.validation import check_call, require_integers
+from perilune.core import (
+    NotConvergedError,
+    PeriluneError,
+    Watch,
+    check_call,
+    ignore_events,
+    renamed_keywords,
+    require_integers,
+)
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.evolutionary.genetic import Generation, Genetic
 from perilune.methods.indirect.indirect import Indirect

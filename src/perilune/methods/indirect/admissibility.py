@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from perilune.conditions import OptimalityConditions, PhaseExtremal
-from perilune.core.arrays import Vector
-from perilune.core.errors import NotConvergedError
+from perilune.core import NotConvergedError, Vector
 from perilune.methods.indirect.export_arcs import PropagatedPhase, propagate_for_export, propagate_in_one_piece
 from perilune.methods.indirect.exported_phases import minimising_controls
 from perilune.methods.indirect.unknowns import free_values, objective_scale

@@ -22,8 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.units import format_quantity
+from perilune.core import Vector, format_quantity
 from perilune.problem.controls import scalars
 from perilune.problem.display.quantity_names import limit_name, quantity_name
 from perilune.problem.phase import Phase

@@ -9,9 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.callbacks import Watch, ignore_events, remember_best
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, Vector, Watch, ignore_events, remember_best
 from perilune.direct import ROUGHEST
 from perilune.methods.indirect.settings import SearchSettings
 from perilune.problem.controls import scalars

@@ -13,10 +13,15 @@ from typing import Any
 import numpy as np
 
 from perilune.conditions import OptimalityConditions
-from perilune.core.arrays import Vector
-from perilune.core.errors import BEST_MISSES, InfeasibleError, NotConvergedError, PeriluneError
-from perilune.core.maths import NUMERIC
-from perilune.core.units import format_quantity
+from perilune.core import (
+    BEST_MISSES,
+    NUMERIC,
+    InfeasibleError,
+    NotConvergedError,
+    PeriluneError,
+    Vector,
+    format_quantity,
+)
 from perilune.methods.indirect.chattering import detect_chattering
 from perilune.methods.indirect.coarse_direct import Coarse, path_condition_values
 from perilune.methods.indirect.unknowns import free_values, residual_scales, unreachable_by_shooting

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions import OptimalityConditions, extremal_parameters
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import NotConvergedError
+from perilune.core import Matrix, NotConvergedError, Vector
 from perilune.kernels import DenseArc
 from perilune.problem.casadi_trace import state_scales
 from perilune.problem.problem import Problem

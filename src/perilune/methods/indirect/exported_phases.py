@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions import OptimalityConditions, PhaseExtremal, extremal_parameters
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.methods.indirect.export_arcs import PropagatedPhase
 from perilune.methods.indirect.unknowns import free_values, objective_scale
 from perilune.problem.casadi_trace import state_scales

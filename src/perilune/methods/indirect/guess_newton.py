@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.methods.indirect.export_arcs import can_use_multiple_shooting, correct_last_digits, ends_well
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.random_costates import NEARLY, beside_flat, continue_from_guess

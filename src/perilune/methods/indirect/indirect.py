@@ -24,11 +24,18 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from perilune.core.callbacks import TimeLimitReached, Watch, ignore_events, remember_best
-from perilune.core.deprecation import renamed_keywords
-from perilune.core.errors import InfeasibleError, NotConvergedError, PeriluneError
-from perilune.core.units import format_quantity
-from perilune.core.validation import check_call
+from perilune.core import (
+    InfeasibleError,
+    NotConvergedError,
+    PeriluneError,
+    TimeLimitReached,
+    Watch,
+    check_call,
+    format_quantity,
+    ignore_events,
+    remember_best,
+    renamed_keywords,
+)
 from perilune.methods.indirect.diagnosis import flight_without_extremal_error
 from perilune.methods.indirect.result import Curves
 from perilune.methods.indirect.search import Search

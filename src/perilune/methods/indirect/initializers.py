@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from perilune.conditions import Held
-from perilune.core.arrays import Matrix
-from perilune.core.errors import InfeasibleError
+from perilune.core import InfeasibleError, Matrix
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.continuation.duration_continuation import FinalTimeContinuation, given_durations
 from perilune.methods.indirect.continuation.homotopy import SMOOTH, Smoothing

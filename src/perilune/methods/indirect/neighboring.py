@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from perilune.conditions import extremal_parameters
-from perilune.core.arrays import Matrix
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix, PeriluneError, unknown_name
 from perilune.methods.indirect.newton_trials import found_at
 from perilune.methods.indirect.result import Curves, compose_solution
 from perilune.problem.perturbed import with_given_unchecked

@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from perilune.conditions import Held, OptimalityConditions, derive, extremal_parameters
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Iteration, Watch
+from perilune.core import Iteration, Matrix, Vector, Watch
 from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot
 from perilune.methods.indirect.unknowns import joints_from_solution
 from perilune.problem.casadi_trace import free_scales

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.conditions import extremal_parameters
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.settings import SearchSettings
 from perilune.methods.indirect.unknowns import unknowns_from_solution

@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.conditions import OptimalityConditions
-from perilune.core.arrays import Vector
-from perilune.core.errors import Outcome
-from perilune.core.lazy import Deferred
+from perilune.core import Deferred, Outcome, Vector
 from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot, same_vector
 from perilune.methods.indirect.export_arcs import PropagatedStates, propagate_for_export
 from perilune.methods.indirect.exported_phases import assemble_trajectories

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from perilune.core.arrays import Vector
-from perilune.core.callbacks import Watch
-from perilune.core.errors import NotConvergedError
+from perilune.core import NotConvergedError, Vector, Watch
 from perilune.methods.indirect.admissibility import ALLOWED
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.cold_search import (

@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from perilune.conditions import Held, attainable_conditions
-from perilune.core.arrays import Vector
-from perilune.core.callbacks import Watch
-from perilune.core.errors import NotConvergedError
+from perilune.core import NotConvergedError, Vector, Watch
 from perilune.methods.indirect.admissibility import AdmissibilityTest
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot, same_vector

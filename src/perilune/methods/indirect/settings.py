@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from perilune.core.validation import require_integers
+from perilune.core import require_integers
 
 if TYPE_CHECKING:
     from perilune.methods.direct.pseudospectral import Pseudospectral

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from perilune.conditions import OptimalityConditions
-from perilune.core.arrays import Vector
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, Vector
 from perilune.problem.casadi_trace import canonical_free, free_scales, state_scales
 from perilune.problem.controls import scalars
 from perilune.problem.phase import Phase

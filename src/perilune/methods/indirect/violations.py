@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.units import format_bound, format_quantity
+from perilune.core import Matrix, Vector, format_bound, format_quantity
 from perilune.problem.controls import ScalarControl, scalars
 from perilune.problem.display.quantity_names import limit_name, quantity_name
 from perilune.problem.phase import Phase

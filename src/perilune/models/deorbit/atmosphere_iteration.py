@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import NotConvergedError, PeriluneError
-from perilune.core.validation import require_type
+from perilune.core import NotConvergedError, PeriluneError, require_type
 from perilune.models.deorbit import records
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.trajectory_atmosphere import NEAR, air_along, largest_density_change, profile_of_states

@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix
 from perilune.models.physics.aerodynamics import drag_acceleration, heat_rate
 from perilune.models.physics.atmosphere import Air
 

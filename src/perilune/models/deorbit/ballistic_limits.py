@@ -28,9 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.maths import NUMERIC
-from perilune.core.units import STANDARD_GRAVITY
+from perilune.core import NUMERIC, STANDARD_GRAVITY, Matrix, Vector
 from perilune.models.deorbit.ballistic_fall import Fall, fall
 from perilune.models.deorbit.interface_bounds import interface_speeds
 from perilune.models.deorbit.records import is_something_left, total_velocity_change

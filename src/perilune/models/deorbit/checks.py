@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from itertools import pairwise
 
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError
 from perilune.models.deorbit.records import (
     Aim,
     Heating,

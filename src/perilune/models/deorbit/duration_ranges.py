@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Physics
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, Physics
 from perilune.models.deorbit import checks, initial_guess as times, parachute as parachutes
 from perilune.models.deorbit.ballistic_fall import entry_end_altitude, fall
 from perilune.models.deorbit.records import least_mass_left

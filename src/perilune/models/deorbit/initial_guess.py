@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Physics, Vector
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix, Physics, Vector
 from perilune.models.deorbit import parachute
 from perilune.models.deorbit.ballistic_fall import POINTS, fall, turning_speed, typical_angle
 from perilune.models.deorbit.orbit import AXIS, plane_axes, radius_and_speeds

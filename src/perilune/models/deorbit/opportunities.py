@@ -16,9 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import InfeasibleError, PeriluneError
-from perilune.core.maths import NUMERIC
-from perilune.core.validation import check_call, require_type
+from perilune.core import NUMERIC, InfeasibleError, PeriluneError, check_call, require_type
 from perilune.models.deorbit.ballistic_fall import turning_speed
 from perilune.models.deorbit.initial_guess import estimate_descent
 from perilune.models.deorbit.orbit import plane_axes, radius_and_speeds

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from perilune.core.arrays import Physics
+from perilune.core import Physics
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.rotating_frame import Triple, combine, cross_product
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 from perilune.models.deorbit import dynamics as flight, outputs as told
 from perilune.models.deorbit.orbit import AXIS
 from perilune.models.landing.problem import mass_state

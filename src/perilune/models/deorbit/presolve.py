@@ -34,8 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Physics
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Physics
 from perilune.models.deorbit.ballistic_fall import (
     Fall,
     all_falls_too_fast,

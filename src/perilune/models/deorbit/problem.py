@@ -13,9 +13,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from perilune.core.arrays import Physics
-from perilune.core.units import STANDARD_GRAVITY, Scales
-from perilune.core.validation import check_call, require_records
+from perilune.core import STANDARD_GRAVITY, Physics, Scales, check_call, require_records
 from perilune.models.deorbit import (
     checks,
     dynamics as flight,

@@ -7,12 +7,7 @@ from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
-from perilune.core.datetimes import instant
-from perilune.core.deprecation import renamed_names
-from perilune.core.errors import PeriluneError
-from perilune.core.fields import quantity, record, text_field
-from perilune.core.maths import NUMERIC
-from perilune.core.units import format_quantity
+from perilune.core import NUMERIC, PeriluneError, format_quantity, instant, quantity, record, renamed_names, text_field
 from perilune.models.physics.aerodynamics import SUTTON_GRAVES
 from perilune.models.physics.coast import SHORTEST
 

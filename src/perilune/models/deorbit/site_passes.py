@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC
 from perilune.models.deorbit.initial_guess import estimate_descent
 from perilune.models.deorbit.orbit import plane_axes, radius_and_speeds
 from perilune.models.deorbit.records import (

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix
+from perilune.core import Matrix
 from perilune.models.deorbit.ballistic_fall import Fall, fall
 from perilune.models.deorbit.ballistic_limits import (
     LEFT_OUT,

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Physics, Vector
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix, Physics, Vector
 from perilune.models.deorbit.initial_guess import rough_trajectory, typical_times
 from perilune.models.deorbit.records import Atmosphere
 from perilune.models.physics import ellipsoid

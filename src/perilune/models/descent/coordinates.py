@@ -28,7 +28,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from perilune.core.arrays import Physics
+from perilune.core import Physics
 from perilune.models.physics.delta_v_bounds import braking_distance_and_time
 from perilune.models.physics.rotating_frame import (
     combine,

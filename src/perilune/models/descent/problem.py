@@ -17,12 +17,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from perilune.core.arrays import Physics
-from perilune.core.errors import PeriluneError
-from perilune.core.fields import quantity, record, span, text_field
-from perilune.core.maths import NUMERIC, comparison_fails
-from perilune.core.units import Scales
-from perilune.core.validation import check_call, require_records
+from perilune.core import (
+    NUMERIC,
+    PeriluneError,
+    Physics,
+    Scales,
+    check_call,
+    comparison_fails,
+    quantity,
+    record,
+    require_records,
+    span,
+    text_field,
+)
 from perilune.models.descent.cartesian import CARTESIAN, steered_path
 from perilune.models.descent.coordinates import AXIS, OUTPUTS, variables_of_unit
 from perilune.models.descent.rough_landing import rough_landing

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from perilune.core.arrays import Matrix
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix
 from perilune.models.descent.two_impulses import landing_start_of, two_impulses
 from perilune.models.physics.delta_v_bounds import exhaust_speed, greatest_thrust
 from perilune.problem.initial_guess import guess

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.models.descent.burn_programs import compile_burn
 from perilune.models.descent.two_impulses import LandingStart, propagate_kepler
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 
 _LOOKS = 48  # times of one turn at which the first impulse is tried
 _SAME = 1e-9  # relative difference of velocity changes that are the same

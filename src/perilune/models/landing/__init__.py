@@ -6,7 +6,7 @@ if TYPE_CHECKING:
     from perilune.models.landing.problem import LandingSite, Orbit, hybrid_landing
     from perilune.models.physics.vehicle import Retro, Vehicle
 else:
-    from perilune.core.facade import lazy_face
+    from perilune.core import lazy_face
 
     __getattr__, __dir__ = lazy_face(__name__)
 

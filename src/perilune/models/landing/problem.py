@@ -19,11 +19,16 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import PeriluneError
-from perilune.core.fields import quantity, record
-from perilune.core.maths import NUMERIC, comparison_fails
-from perilune.core.units import Scales
-from perilune.core.validation import check_call, require_records
+from perilune.core import (
+    NUMERIC,
+    PeriluneError,
+    Scales,
+    check_call,
+    comparison_fails,
+    quantity,
+    record,
+    require_records,
+)
 from perilune.models.landing.presolve import compare_landing, perilune_speed
 from perilune.models.physics.bodies import MOON, Body, catalogue_name
 from perilune.models.physics.delta_v_bounds import braking_distance_and_time, exhaust_speed

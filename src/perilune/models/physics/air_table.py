@@ -13,12 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.column_headings import TableHeading, table_heading, unit_as_written
-from perilune.core.delimited_text import CellRow, DelimitedTable, TextLine, delimited_table
-from perilune.core.errors import PeriluneError
-from perilune.core.units import parse_unit
-from perilune.core.untrusted_text import bounded_text
+from perilune.core import (
+    CellRow,
+    DelimitedTable,
+    PeriluneError,
+    TableHeading,
+    TextLine,
+    Vector,
+    bounded_text,
+    delimited_table,
+    parse_unit,
+    table_heading,
+    unit_as_written,
+)
 
 LARGEST_FILE = 1_000_000  # bytes
 _SI = {"altitude": "m", "density": "kg/m^3"}

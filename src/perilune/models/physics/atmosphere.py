@@ -22,10 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import MOST_KNOTS, Table
-from perilune.core.untrusted_text import one_line
+from perilune.core import MOST_KNOTS, PeriluneError, Table, Vector, one_line
 from perilune.models.physics import standard_atmosphere
 from perilune.models.physics.air_table import read_air_table
 from perilune.problem.variables import Parameter

@@ -6,7 +6,7 @@ import math
 from dataclasses import fields, replace
 from typing import Any
 
-from perilune.core.fields import quantity, record, text_field
+from perilune.core import quantity, record, text_field
 
 # Of each harmonic alone: above 1/(n + 1) a pole would push away, and far below 0 another place on the surface.
 _ZONAL: dict[int, dict[str, Any]] = {

@@ -12,8 +12,7 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-from perilune.core.arrays import Physics
-from perilune.core.fields import quantity
+from perilune.core import Physics, quantity
 from perilune.problem.named_values import Conditions, Quantities, named_variables
 from perilune.problem.phase import Phase
 from perilune.problem.variables import FreeParameter, Variable

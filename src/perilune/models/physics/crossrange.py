@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 
 _SURELY = 1.2  # times what these equations say
 _SPEEDS = np.linspace(0.1, 0.9, 17)  # of the circular one

@@ -18,8 +18,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from perilune.core.arrays import Matrix
-from perilune.core.errors import unknown_name
+from perilune.core import Matrix, unknown_name
 from perilune.models.physics.time_scales import describe_tdb, tdb_minus_utc
 
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)

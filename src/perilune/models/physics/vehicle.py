@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from perilune.core.errors import PeriluneError
-from perilune.core.fields import quantity, record
-from perilune.core.units import STANDARD_GRAVITY
+from perilune.core import STANDARD_GRAVITY, PeriluneError, quantity, record
 from perilune.problem.controls import ScalarControl
 
 # Cold gas has about 60 s and hydrogen with oxygen 465 s; exhaust velocities in m/s begin at several hundred.

@@ -19,8 +19,7 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-from perilune.core.arrays import Physics
-from perilune.core.fields import quantity, record
+from perilune.core import Physics, quantity, record
 from perilune.models.physics.delta_v_bounds import gravity_at
 from perilune.models.precision.path_constraints import Corridor, corridor_conditions
 from perilune.problem.named_values import Conditions, Quantities

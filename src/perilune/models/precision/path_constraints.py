@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from perilune.core.fields import quantity, record
+from perilune.core import quantity, record
 from perilune.models.descent.coordinates import variables_of_unit
 from perilune.problem.variables import Variable
 

@@ -16,11 +16,7 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-from perilune.core.errors import PeriluneError
-from perilune.core.fields import quantity, record
-from perilune.core.maths import NUMERIC
-from perilune.core.units import Scales
-from perilune.core.validation import check_call, require_records
+from perilune.core import NUMERIC, PeriluneError, Scales, check_call, quantity, record, require_records
 from perilune.models.descent.coordinates import descent_thrust, mass_rate, variables_of_unit
 from perilune.models.descent.problem import SPEED, Site, refuse_unplaced, with_dry_mass
 from perilune.models.landing.problem import mass_state

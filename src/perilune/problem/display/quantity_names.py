@@ -10,8 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from perilune.core.fields import record_keys, section_of
-from perilune.core.units import format_quantity
+from perilune.core import format_quantity, record_keys, section_of
 from perilune.problem.problem import Problem
 
 _SHOWN = ("outputs", "integrals", "end_outputs", "inertial", "track", "end_guess")  # functions that decide no optimum

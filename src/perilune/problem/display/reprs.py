@@ -9,10 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from perilune.core.facade import method_function
-from perilune.core.units import format_quantity, format_value_range
-from perilune.core.untrusted_text import one_line
-from perilune.core.validation import check_call
+from perilune.core import check_call, format_quantity, format_value_range, method_function, one_line
 from perilune.problem.parameters import given_of
 
 if TYPE_CHECKING:

@@ -12,10 +12,7 @@ from dataclasses import dataclass, fields
 from string import Formatter
 from typing import Any
 
-from perilune.core.datetimes import instant
-from perilune.core.errors import unknown_name
-from perilune.core.facade import public_names
-from perilune.core.validation import check_call, require_row, require_si_number, require_type
+from perilune.core import check_call, instant, public_names, require_row, require_si_number, require_type, unknown_name
 
 __all__ = ["Beside", "Corridor", "Dispersion", "Disturbance", "Ground", "History", "Space", "ValidRange", "Views"]
 

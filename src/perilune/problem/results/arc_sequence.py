@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from perilune.core.validation import check_call
+from perilune.core import check_call
 
 
 @check_call

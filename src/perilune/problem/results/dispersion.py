@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import COMPLEX, STEP, complex_step_jacobian, stack_broadcast
+from perilune.core import COMPLEX, STEP, Matrix, Vector, complex_step_jacobian, stack_broadcast
 from perilune.problem.display.views import Dispersion, Disturbance
 from perilune.problem.variables import Variable
 

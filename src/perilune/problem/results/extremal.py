@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from perilune.core.validation import check_call
+from perilune.core import check_call
 
 
 class Nature(Enum):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 
 
 def hermite_nodes(

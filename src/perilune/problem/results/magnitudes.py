@@ -11,8 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.units import Scales
+from perilune.core import Matrix, Scales, Vector
 from perilune.problem.variables import Variable
 
 _NOTHING = 1e-18  # of a canonical unit

@@ -15,13 +15,21 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Iteration
-from perilune.core.deprecation import RenamedAttribute, renamed_keywords, warn_renamed
-from perilune.core.equality import equal_fields
-from perilune.core.errors import Named, Outcome, PeriluneError
-from perilune.core.maths import NUMERIC
-from perilune.core.validation import check_call, require_index
+from perilune.core import (
+    NUMERIC,
+    Iteration,
+    Matrix,
+    Named,
+    Outcome,
+    PeriluneError,
+    RenamedAttribute,
+    Vector,
+    check_call,
+    equal_fields,
+    renamed_keywords,
+    require_index,
+    warn_renamed,
+)
 from perilune.problem.controls import normalised
 from perilune.problem.display.reprs import ShownSolution
 from perilune.problem.problem import Problem

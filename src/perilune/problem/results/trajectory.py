@@ -7,11 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.deprecation import RenamedAttribute
-from perilune.core.equality import equal_fields
-from perilune.core.errors import PeriluneError
-from perilune.core.validation import check_call, require_numbers
+from perilune.core import Matrix, PeriluneError, RenamedAttribute, Vector, check_call, equal_fields, require_numbers
 from perilune.problem.display.reprs import ShownCurve, ShownTrajectory
 
 _TIMES = "a time at which to evaluate a curve"

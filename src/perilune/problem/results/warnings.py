@@ -14,9 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.maths import NUMERIC
-from perilune.core.units import format_quantity
+from perilune.core import NUMERIC, Vector, format_quantity
 from perilune.problem.display.quantity_names import free_name, limit_name, parameter_key, quantity_name
 
 KNOWN_BETTER = "a flight is known that is better by"  # with which a line of `Statistics.tried` begins that says so

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from perilune.core.units import Dimension, dimension_text, parse_unit
+from perilune.core import Dimension, dimension_text, parse_unit
 from perilune.problem.tracing.tape import ROLES, Expression, Tape, operands
 
 _NONE: Dimension = (0, 0, 0, 0)

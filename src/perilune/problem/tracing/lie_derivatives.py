@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Matrix, Vector
 from perilune.problem.tracing.tape import ROLES, Expression, Recorder, Symbol, operands
 
 MOST_ORDER = 4  # derivatives that are considered; states are coupled more directly than that

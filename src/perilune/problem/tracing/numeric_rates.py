@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.validation import check_call, require_numbers
+from perilune.core import Matrix, PeriluneError, Vector, check_call, require_numbers, unknown_name
 
 if TYPE_CHECKING:
     from perilune.problem.phase import Phase

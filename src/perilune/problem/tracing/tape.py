@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.maths import NUMPY_NAMES, Table
+from perilune.core import NUMPY_NAMES, Table
 
 # Operations that Python writes with a sign, and those of the namespace `xp`, each with its number of operands.
 _SIGNS: dict[str, Callable[..., Any]] = {

@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, PeriluneError, unknown_name
 from perilune.problem.controls import Settled
 from perilune.problem.named_values import NamedValues
 from perilune.problem.tracing.tape import Expression, NotAFormula, Recorder, Symbol

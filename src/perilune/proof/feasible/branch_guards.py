@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.complex_step import COMPLEX, stack_broadcast
-from perilune.core.maths import Table
+from perilune.core import COMPLEX, Table, stack_broadcast
 from perilune.problem.phase import Phase
 
 _COMPARISONS = {np.less, np.less_equal, np.greater, np.greater_equal}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.proof.feasible.numerics import significant_size
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.feasible.sample_points import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces

@@ -12,10 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import COMPLEX
-from perilune.core.errors import PeriluneError
-from perilune.core.maths import NUMERIC
+from perilune.core import COMPLEX, NUMERIC, Matrix, PeriluneError, Vector
 from perilune.problem.controls import control_slices
 from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Check

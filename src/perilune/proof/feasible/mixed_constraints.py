@@ -20,9 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import COMPLEX, STEP, complex_step_jacobian, stack_broadcast
-from perilune.core.maths import NUMERIC
+from perilune.core import COMPLEX, NUMERIC, STEP, Matrix, Vector, complex_step_jacobian, stack_broadcast
 from perilune.problem.controls import ScalarControl, admissible, control_slices, normalised, tangents
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable

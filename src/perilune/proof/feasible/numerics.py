@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import complex_step_jacobian
+from perilune.core import Matrix, Vector, complex_step_jacobian
 
 DIFFERENCE = 1e-4  # of gradients, in canonical units: truncation 1e-8, rounding 1e-12
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import COMPLEX, STEP, complex_step_jacobian, stack_broadcast
+from perilune.core import COMPLEX, STEP, Matrix, Vector, complex_step_jacobian, stack_broadcast
 from perilune.problem.controls import control_scales, normalised
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem

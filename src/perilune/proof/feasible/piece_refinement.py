@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.proof.feasible.sample_points import IN_HALVES, WEIGHTS, Pieces, Slopes, interpolating_cubics, polynomial
 
 # Halves of a piece may differ from the whole by so much, scaled, before they are looked at apart; by how much they

@@ -23,10 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import sign_of_life
-from perilune.core.complex_step import COMPLEX
-from perilune.core.maths import NUMERIC
+from perilune.core import COMPLEX, NUMERIC, Matrix, Vector, sign_of_life
 from perilune.problem.controls import directions
 from perilune.problem.phase import Phase
 from perilune.problem.results.solution import Solution

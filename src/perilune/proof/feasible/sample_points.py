@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.problem.results.trajectory import Curve
 
 

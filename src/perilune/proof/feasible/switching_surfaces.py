@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import complex_step_jacobian
+from perilune.core import Matrix, Vector, complex_step_jacobian
 from perilune.problem.controls import normalised
 from perilune.problem.phase import Phase
 from perilune.problem.results.trajectory import Trajectory

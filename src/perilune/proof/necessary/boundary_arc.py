@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import COMPLEX, complex_step_jacobian, stack_broadcast
+from perilune.core import COMPLEX, Matrix, Vector, complex_step_jacobian, stack_broadcast
 from perilune.problem.controls import ScalarControl
 from perilune.problem.tracing.costate_signs import unpriced_states
 from perilune.proof.feasible.phase_data import PhaseData

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.proof.feasible.phase_data import PhaseData
 
 LEAST = 1e-3  # of its size: what a condition goes through at least; one that is active all along goes through nothing

@@ -24,8 +24,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from perilune.core.arrays import Vector
-from perilune.core.maths import NUMERIC
+from perilune.core import NUMERIC, Vector
 from perilune.problem.controls import scalars
 from perilune.problem.results.solution import Solution, full
 from perilune.problem.tracing.lie_derivatives import depends_on_control

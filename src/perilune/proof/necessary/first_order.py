@@ -26,8 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import COMPLEX, STEP
+from perilune.core import COMPLEX, STEP, Matrix, Vector
 from perilune.problem.results.solution import Solution
 from perilune.problem.variables import FreeParameter
 from perilune.problem.verification import Check

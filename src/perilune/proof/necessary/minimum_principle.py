@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import STEP
+from perilune.core import STEP, Matrix, Vector
 from perilune.problem.controls import (
     ScalarControl,
     UnitVectorControl,

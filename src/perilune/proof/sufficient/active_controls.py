@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.problem.verification import Check
 from perilune.proof.feasible.mixed_constraints import MixedConstraints
 from perilune.proof.feasible.phase_data import PhaseData

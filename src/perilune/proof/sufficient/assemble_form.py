@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import sign_of_life
-from perilune.core.complex_step import COMPLEX, complex_step_jacobian, stack_broadcast
+from perilune.core import COMPLEX, Matrix, Vector, complex_step_jacobian, sign_of_life, stack_broadcast
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.numerics import hessian
 from perilune.proof.feasible.phase_data import PhaseData

@@ -43,8 +43,7 @@ from functools import cached_property
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import COMPLEX, STEP, stack_broadcast
+from perilune.core import COMPLEX, STEP, Matrix, Vector, stack_broadcast
 from perilune.problem.controls import control_slices, scalars
 from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Check

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 
 _NOTHING = 1e-10  # of the form: less is zero
 

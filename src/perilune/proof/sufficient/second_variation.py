@@ -14,9 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import sign_of_life
-from perilune.core.complex_step import complex_step_jacobian
+from perilune.core import Matrix, Vector, complex_step_jacobian, sign_of_life
 from perilune.problem.controls import ScalarControl, control_slices, normalised, tangents
 from perilune.proof.feasible.numerics import hessian
 from perilune.proof.feasible.phase_data import PhaseData

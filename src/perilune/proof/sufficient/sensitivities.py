@@ -14,8 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.core.callbacks import sign_of_life
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, sign_of_life
 from perilune.problem.perturbed import (
     fix_free_parameters,
     move_start,

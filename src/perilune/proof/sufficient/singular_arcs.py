@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.problem.controls import scalars
 from perilune.proof.feasible.mixed_constraints import ON_BOUND
 from perilune.proof.feasible.phase_data import PhaseData

@@ -38,8 +38,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.complex_step import complex_step_jacobian
+from perilune.core import Matrix, Vector, complex_step_jacobian
 from perilune.problem.controls import ScalarControl, scalars
 from perilune.problem.verification import Check
 from perilune.proof.feasible.phase_data import PhaseData

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
+from perilune.core import Matrix, Vector
 from perilune.methods.indirect.continuation.parameter_scan import distinct_roots, same_extremal
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.random_costates import PATIENCE, STRIDE, random_costate_unknowns

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perilune.conditions import OptimalityConditions
-from perilune.core.arrays import Vector
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, Vector
 from perilune.methods.indirect.continuation.duration_continuation import FinalTimeContinuation
 from perilune.methods.indirect.continuation.regularized import RATE, smooth_problem
 from perilune.methods.indirect.export_arcs import can_use_multiple_shooting

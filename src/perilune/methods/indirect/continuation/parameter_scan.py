@@ -14,8 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import Watch, ignore_events
+from perilune.core import Matrix, Vector, Watch, ignore_events
 from perilune.shooting import ActiveSetBounds, Member, Root, Roots, Shooting, follow_family
 
 _HALVINGS = 18  # of a step along a family: where a flight becomes short its costates grow a hundredfold in a step

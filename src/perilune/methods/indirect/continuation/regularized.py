@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core.arrays import Matrix
+from perilune.core import Matrix
 from perilune.problem.controls import Control, ScalarControl, UnitVectorControl, limit_value
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem

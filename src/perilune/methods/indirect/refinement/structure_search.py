@@ -18,8 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
-from perilune.core.callbacks import Watch
-from perilune.core.errors import PeriluneError
+from perilune.core import PeriluneError, Watch
 from perilune.methods.indirect.chattering import find_chattering_arc
 from perilune.methods.indirect.newton_trials import bounded_parameters
 from perilune.methods.indirect.refinement.switch_pair import with_pair

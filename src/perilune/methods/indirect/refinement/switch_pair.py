@@ -8,7 +8,7 @@ slope of J along these extremals is nearly a straight line in w (secant method).
 
 from __future__ import annotations
 
-from perilune.core.arrays import Vector
+from perilune.core import Vector
 from perilune.methods.indirect.newton_trials import found_at
 from perilune.methods.indirect.random_costates import active_set_of_guess, unknowns_of_guess
 from perilune.methods.indirect.search import Search
