@@ -35,8 +35,7 @@ from typing import Any
 
 from perilune.cli import run_command_line
 from perilune.core import Key, Quantity
-from perilune.models.catalogue import KINDS
-from perilune.models.kind import Kind, Section
+from perilune.models import KINDS, Kind, Section
 from perilune.scenario import template
 from perilune.scenario.reader import names_of
 

@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import CERES, EUROPA, MERCURY, MOON, Body
+from perilune.models import CERES, EUROPA, MERCURY, MOON, Body, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.problem import Problem
 from random_problems import PROVED, logarithmic, measured, timed_ending
 

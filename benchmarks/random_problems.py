@@ -29,12 +29,27 @@ import numpy as np
 
 from perilune.core import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.methods.indirect.coarse_direct import nearly_active_conditions
-from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
-from perilune.models.landing.problem import Orbit, hybrid_landing
-from perilune.models.physics.bodies import CERES, EUROPA, MARS, MERCURY, MOON, Body, UniformGravity
-from perilune.models.physics.vehicle import Retro, Vehicle
-from perilune.models.precision.final_descent import FinalDescent
-from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.models import (
+    CERES,
+    EUROPA,
+    MARS,
+    MERCURY,
+    MOON,
+    Approach,
+    Body,
+    FinalDescent,
+    Ignition,
+    Orbit,
+    Retro,
+    Site,
+    Steering,
+    UniformGravity,
+    Vehicle,
+    hybrid_landing,
+    powered_descent,
+    precision_landing,
+)
+from perilune.models.precision.problem import Corridor
 from perilune.problem.presolve import is_possible, preflight
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

@@ -26,10 +26,18 @@ from typing import Any
 import numpy as np
 
 from perilune.core import NUMERIC
-from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
+from perilune.models import (
+    EARTH,
+    Atmosphere,
+    Interface,
+    Landing,
+    Manoeuvre,
+    Returner,
+    ReturnOrbit,
+    Transition,
+    deorbit_entry,
+)
 from perilune.models.physics import ellipsoid
-from perilune.models.physics.bodies import EARTH
 from perilune.problem.problem import Problem
 from plain_returns import landing
 from random_problems import PROVED, OutOfTime, at_most, ending, logarithmic, measured

@@ -27,10 +27,23 @@ import numpy as np
 
 from perilune.core import InfeasibleError, NotConvergedError, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.models.descent.problem import Ignition, Site, powered_descent
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import CERES, EUROPA, MERCURY, MOON, Body
-from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.models import (
+    CERES,
+    EUROPA,
+    MERCURY,
+    MOON,
+    Approach,
+    Body,
+    Ignition,
+    Orbit,
+    Retro,
+    Site,
+    Vehicle,
+    hybrid_landing,
+    powered_descent,
+    precision_landing,
+)
+from perilune.models.precision.problem import Corridor
 from perilune.problem.problem import Problem
 from perilune.scenario import load_file
 from perilune.solve import solve

@@ -21,9 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.models.descent.problem import Ignition, Site, powered_descent
-from perilune.models.physics.bodies import CERES, EUROPA, MERCURY, MOON, Body
-from perilune.models.physics.vehicle import Vehicle
+from perilune.models import CERES, EUROPA, MERCURY, MOON, Body, Ignition, Site, Vehicle, powered_descent
 from perilune.problem.presolve import is_possible, preflight
 from perilune.problem.problem import Problem
 from random_problems import DRAWS, PROVED, logarithmic, measured, surface_gravity, timed_ending

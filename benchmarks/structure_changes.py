@@ -30,9 +30,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from perilune.core import PeriluneError
-from perilune.models.descent.problem import Site
-from perilune.models.physics.bodies import MARS, UniformGravity
-from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.models import MARS, Approach, Site, UniformGravity, precision_landing
+from perilune.models.precision.problem import Corridor
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.scenario import load_file

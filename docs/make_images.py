@@ -27,7 +27,7 @@ def draw(hybrid: Solution, ordinary: Solution, directory: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    from perilune.models.landing.problem import Retro
+    from perilune.models import Retro
     from perilune.solve import solve
     from perilune_papers.cho2015.case import CONSTANTS, cho_landing
 

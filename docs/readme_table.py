@@ -73,7 +73,7 @@ def not_printed(hybrid: Solution, ordinary: Solution) -> list[str]:
 
 
 if __name__ == "__main__":
-    from perilune.models.landing.problem import Retro
+    from perilune.models import Retro
     from perilune.solve import solve
     from perilune_papers.cho2015.case import CONSTANTS, cho_landing
 

@@ -20,9 +20,9 @@ from perilune.app.source import subject_of
 from perilune.cli import run_command_line
 from perilune.direct.first_guess import first_guesses
 from perilune.families.family import Family, FamilyPoint
-from perilune.io.atomic_files import json_text
+from perilune.io import json_text, solution_document
 from perilune.io.exports.writing import FORMATS, export, to_dataframe, to_xarray
-from perilune.io.save import save, solution_document
+from perilune.io.save import save
 from perilune.problem.results.trajectory import Curve
 from perilune.report.family import family_csv, family_document, family_figure
 from perilune.report.figures import solution_drawings

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import Body
+from perilune.models import Body, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.problem import Problem
 
 # Not printed by Cho et al. 2015; these reproduce every digit it prints.

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from perilune.core import NUMERIC, Outcome
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import Body
+from perilune.models import Body, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.problem import Problem
 from perilune.problem.results.hermite_nodes import hermite_nodes
 from perilune.problem.results.solution import Solution

@@ -17,8 +17,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 from perilune.core import Key, TextField, record_keys
-from perilune.models.catalogue import KINDS
-from perilune.models.kind import Kind, Section
+from perilune.models import KINDS, Kind, Section
 
 Layer = Mapping[str, str | None]  # by "section.key" the text of its value; None takes the key, or the section, away
 Picked = Mapping[str, str]  # by way the name of what was picked

@@ -25,8 +25,7 @@ SAMPLES = 0.5 * (1 + np.polynomial.legendre.leggauss(6)[0])
 
 def problem_of(task: Task) -> Any:
     """The same problem in our words."""
-    from perilune.models.landing.problem import Orbit, Vehicle, hybrid_landing
-    from perilune.models.physics.bodies import Body
+    from perilune.models import Body, Orbit, Vehicle, hybrid_landing
 
     if task.control == LANDING.control:
         return hybrid_landing(

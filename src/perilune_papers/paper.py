@@ -9,8 +9,7 @@ from types import MappingProxyType
 from matplotlib.figure import Figure
 
 from perilune import Solution
-from perilune.io.columns import flight_columns
-from perilune.io.save import program_versions
+from perilune.io import flight_columns, program_versions
 from perilune.report import markdown_table, save_figure
 
 # Name: value, unit, place in the paper. For comparison, never for computing.

@@ -47,7 +47,7 @@ def reproduce_paper(
     PeriluneError
         If the paper or a setting is not known, or the directory cannot be written.
     """
-    from perilune.io.atomic_files import fresh_directory
+    from perilune.io import fresh_directory
 
     if paper not in PAPERS:
         raise unknown_name("paper", paper, list(PAPERS))

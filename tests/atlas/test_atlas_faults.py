@@ -35,7 +35,7 @@ from perilune.atlas.store.schema import cell_type
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.cli import run_command_line
 from perilune.core import NotConvergedError, PeriluneError
-from perilune.models.catalogue import key_of
+from perilune.models import key_of
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}

@@ -21,9 +21,7 @@ from perilune.charts.borders import Borders
 from perilune.charts.chart import Chart, Holds
 from perilune.charts.sheet import Sheet
 from perilune.core import Matrix, Vector
-from perilune.models.landing.problem import Orbit, hybrid_landing
-from perilune.models.physics.bodies import MOON
-from perilune.models.physics.vehicle import Retro, Vehicle
+from perilune.models import MOON, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.results.extremal import Nature
 from perilune.problem.variables import Parameter, Variable
 from perilune.structures import Arc, Structure

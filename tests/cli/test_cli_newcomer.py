@@ -17,7 +17,7 @@ from command_line import COMMAND, ENVIRONMENT, HYBRID, ORDINARY, ROOT, read_json
 from perilune.cli import run_command_line
 from perilune.cli.progress import SpinnerText
 from perilune.core import InfeasibleError, PeriluneError
-from perilune.io.atomic_files import fresh_directory
+from perilune.io import fresh_directory
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.scenario import template

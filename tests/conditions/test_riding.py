@@ -13,10 +13,8 @@ from perilune.conditions.canonical_equations import (
     hamiltonian_at,
     limit_symbols,
 )
-from perilune.models.physics.bodies import UniformGravity
-from perilune.models.physics.vehicle import Vehicle
+from perilune.models import Approach, UniformGravity, Vehicle, precision_landing
 from perilune.models.precision.path_constraints import NONE
-from perilune.models.precision.problem import Approach, precision_landing
 from perilune.problem.casadi_trace import trace_parameters
 from perilune.structures import Arc, Structure
 from perilune.structures.multiphase import restate

@@ -12,8 +12,7 @@ import pytest
 import perilune as pl
 from command_line import ROOT
 from perilune.cli import run_command_line
-from perilune.models.landing.problem import Orbit, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import MARS, MOON, Body
+from perilune.models import MARS, MOON, Body, Orbit, Vehicle, hybrid_landing
 from perilune.scenario import load_file
 
 

@@ -20,10 +20,7 @@ import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT
 from perilune.core.errors import PeriluneError
-from perilune.models.descent.problem import powered_descent
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import MARS, MOON, Body
-from perilune.models.precision.problem import precision_landing
+from perilune.models import MARS, MOON, Body, Orbit, Retro, Vehicle, hybrid_landing, powered_descent, precision_landing
 from perilune.problem.results.solution import Solution
 from perilune.scenario import load_file
 

@@ -12,7 +12,7 @@ import perilune as pl
 from perilune.cli import run_command_line
 from perilune.core import NotConvergedError
 from perilune.direct.elastic_constraint import elastic_limits
-from perilune.io.save import extremals_document
+from perilune.io import extremals_document
 from perilune.methods.binding_limit import with_binding_limit
 from perilune.methods.indirect.chattering import detect_chattering
 from perilune.methods.indirect.coarse_direct import Coarse

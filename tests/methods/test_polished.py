@@ -12,8 +12,7 @@ import pytest
 import perilune as pl
 from perilune.cli import run_command_line
 from perilune.methods.polish import solve_and_polish
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import MERCURY
+from perilune.models import MERCURY, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
 from perilune.scenario import load_file

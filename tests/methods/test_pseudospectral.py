@@ -13,8 +13,7 @@ import pytest
 from perilune.core import NUMERIC, InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import MOON
+from perilune.models import MOON, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.controls import ScalarControl
 from perilune.problem.named_values import Conditions
 from perilune.problem.problem import Problem

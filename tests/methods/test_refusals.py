@@ -22,8 +22,7 @@ from perilune.methods.indirect.diagnosis import active_path_condition, explain_r
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.methods.indirect.violations import ConstraintViolation, bound_violations
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import MOON
+from perilune.models import MOON, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.controls import ScalarControl
 from perilune.problem.display.quantity_names import stating_keys
 from perilune.problem.phase import Phase

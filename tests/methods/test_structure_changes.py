@@ -21,10 +21,8 @@ from perilune.methods.indirect.diagnosis import bound_unreachable_objective, exp
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.violations import ConstraintViolation, solution_violations
-from perilune.models.descent.problem import Site
-from perilune.models.physics.bodies import EUROPA, MARS, MOON
-from perilune.models.physics.vehicle import Vehicle
-from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.models import EUROPA, MARS, MOON, Approach, Site, Vehicle, precision_landing
+from perilune.models.precision.problem import Corridor
 from perilune.problem.verification import Check
 from perilune.proof import levels
 from perilune.proof.sufficient.second_variation import KeptConditions

@@ -11,8 +11,7 @@ import pytest
 
 import perilune as pl
 from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import CERES, MERCURY
+from perilune.models import CERES, MERCURY, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
 from perilune.report.summary import solution_summary

@@ -14,11 +14,10 @@ import pytest
 
 from perilune.cli import run_command_line
 from perilune.core import Outcome, PeriluneError
-from perilune.io.columns import required_hamiltonian
+from perilune.io import required_hamiltonian
 from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.models.descent.problem import Site
-from perilune.models.landing.problem import Vehicle
-from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.models import Approach, Site, Vehicle, precision_landing
+from perilune.models.precision.problem import Corridor
 from perilune.problem.results.solution import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.side_and_top_view import track_path

@@ -18,8 +18,8 @@ import perilune as pl
 from perilune.core import PeriluneError
 from perilune.io.load import load
 from perilune.io.save import save
-from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import (
+from perilune.models import (
+    EARTH,
     Atmosphere,
     Interface,
     Landing,
@@ -28,9 +28,9 @@ from perilune.models.deorbit.records import (
     ReturnOrbit,
     Separation,
     Transition,
+    deorbit_entry,
 )
 from perilune.models.physics.atmosphere import tabulated
-from perilune.models.physics.bodies import EARTH
 from perilune.problem.display.views import Disturbance
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve

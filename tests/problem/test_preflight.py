@@ -17,10 +17,21 @@ from scipy.integrate import solve_ivp
 
 from perilune.core import NUMERIC, InfeasibleError, Outcome, PeriluneError
 from perilune.families.sweep import sweep
-from perilune.models.descent.problem import Ignition, Site, powered_descent
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import MARS, MOON, Body
-from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.models import (
+    MARS,
+    MOON,
+    Approach,
+    Body,
+    Ignition,
+    Orbit,
+    Retro,
+    Site,
+    Vehicle,
+    hybrid_landing,
+    powered_descent,
+    precision_landing,
+)
+from perilune.models.precision.problem import Corridor
 from perilune.problem.controls import UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.presolve import Finding, is_possible, preflight, refuse_impossible, select_findings

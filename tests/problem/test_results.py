@@ -15,7 +15,7 @@ from scipy.integrate import quad
 
 import perilune as pl
 from perilune.core import Outcome, PeriluneError
-from perilune.io.save import extremals_document, solution_document
+from perilune.io import extremals_document, solution_document
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.display.views import Beside, Views

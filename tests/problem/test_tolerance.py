@@ -22,8 +22,8 @@ from command_line import HYBRID, ROOT, read_json
 from many_problems import transfer
 from perilune.cli import run_command_line
 from perilune.core import Outcome, PeriluneError
-from perilune.io.format import SOLUTION_FILE
-from perilune.io.save import save, solution_document, whole_document
+from perilune.io import SOLUTION_FILE, solution_document, whole_document
+from perilune.io.save import save
 from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import format_tolerance, quantity_in
 from perilune.report.family import family_csv, family_document

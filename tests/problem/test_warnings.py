@@ -14,12 +14,10 @@ import pytest
 import perilune as pl
 from command_line import ROOT
 from perilune.cli import run_command_line
+from perilune.models import Approach, UniformGravity, Vehicle, precision_landing
 from perilune.models.deorbit.outputs import validity_ranges
 from perilune.models.physics.atmosphere import exponential, standard
-from perilune.models.physics.bodies import UniformGravity
 from perilune.models.physics.standard_atmosphere import HIGHEST
-from perilune.models.physics.vehicle import Vehicle
-from perilune.models.precision.problem import Approach, precision_landing
 from perilune.problem.display.quantity_names import free_name
 from perilune.problem.results.warnings import _warn_of_contact
 from perilune.report.summary import solution_markdown, solution_summary

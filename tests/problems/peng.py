@@ -5,9 +5,7 @@ from __future__ import annotations
 from math import radians
 from typing import Any
 
-from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
-from perilune.models.landing.problem import Vehicle
-from perilune.models.physics.bodies import Body
+from perilune.models import Body, Ignition, Site, Steering, Vehicle, powered_descent
 from perilune.problem.problem import Problem
 
 # Peng et al. 2012 (25)-(27) as decoded; mu is not printed, and the printed fuel needs g0 = 9.80.

@@ -13,7 +13,8 @@ import pytest
 from landing_by_scipy import cho_problem, resolve, shoot, solution_of
 from perilune.core import Outcome, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.models.landing.problem import Retro, mass_consistency_checks
+from perilune.models import Retro
+from perilune.models.landing.problem import mass_consistency_checks
 from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import Body
+from perilune.models import Body, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.proof.feasible.deviations import MOST_GROWTH, _error_growth
 from perilune.proof.feasible.repropagate import reintegrate
 

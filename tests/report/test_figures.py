@@ -13,7 +13,7 @@ import pytest
 
 from perilune.core import Outcome
 from perilune.families.family import Family, FamilyPoint
-from perilune.io.columns import Column
+from perilune.io import Column
 from perilune.io.save import trajectory_csv
 from perilune.problem.results.solution import Solution
 from perilune.report.family import family_csv, family_document

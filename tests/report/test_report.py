@@ -15,11 +15,18 @@ import pytest
 
 from landing_by_scipy import cho_problem, shoot, solution_of
 from perilune.core import Outcome, PeriluneError
-from perilune.io.atomic_files import fresh_directory, json_text
-from perilune.io.columns import hamiltonian, per_unit, phase_columns
+from perilune.io import (
+    fresh_directory,
+    hamiltonian,
+    json_text,
+    per_unit,
+    phase_columns,
+    results_document,
+    solution_document,
+)
 from perilune.io.load import hash_of, load
-from perilune.io.save import results_document, save, solution_document, trajectory_csv
-from perilune.models.landing.problem import Retro
+from perilune.io.save import save, trajectory_csv
+from perilune.models import Retro
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal, Nature
 from perilune.problem.results.solution import Solution, Statistics

@@ -21,8 +21,7 @@ pytest.importorskip("xarray", reason="exports need xarray: pip install 'perilune
 from carried import Carried, rough_flight
 from matrix import QUICK_RETURNS, REFUSED, WAYS, cover, declared, reached, text_of, unreached
 from perilune.core import PeriluneError, quantity, record, text_field
-from perilune.models.catalogue import KINDS
-from perilune.models.kind import Kind, Section
+from perilune.models import KINDS, Kind, Section
 from perilune.scenario import load_text
 
 SINGLES = [

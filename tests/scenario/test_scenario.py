@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from perilune.core import InfeasibleError, PeriluneError
-from perilune.models.physics.bodies import MOON
+from perilune.models import MOON
 from perilune.problem.presolve import is_possible, preflight, refuse_impossible
 from perilune.problem.variables import Parameter
 from perilune.scenario import KINDS, load_file, load_text, quantities_of, template, values_of

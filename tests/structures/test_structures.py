@@ -13,7 +13,7 @@ import pytest
 
 import perilune as pl
 from perilune.core import PeriluneError
-from perilune.io.save import solution_document
+from perilune.io import solution_document
 from perilune.problem.results.arc_sequence import format_arcs
 from perilune.problem.results.solution import Solution
 from perilune.structures import Arc, Structure

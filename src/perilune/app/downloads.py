@@ -12,8 +12,7 @@ from zipfile import ZipFile
 from perilune import PeriluneError, Solution
 from perilune.app.client import Shown
 from perilune.app.source import Subject
-from perilune.io.exports.provenance import provenance
-from perilune.io.exports.writing import write_export
+from perilune.io import provenance, write_export
 
 
 def _scenario(subject: Subject, shown: Shown) -> bytes:

@@ -12,9 +12,7 @@ import numpy as np
 from perilune import InfeasibleError, PeriluneError, Solution, Verification
 from perilune.app.source import Subject
 from perilune.core import CANNOT_BE_FLOWN, Matrix, Vector
-from perilune.io.atomic_files import finite
-from perilune.io.columns import display_times, phase_columns
-from perilune.io.save import extremals_document, results_document
+from perilune.io import display_times, extremals_document, finite, phase_columns, results_document
 from perilune.problem.results.solution import full
 from perilune.report import plane_of_flight
 

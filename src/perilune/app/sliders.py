@@ -10,7 +10,7 @@ import numpy as np
 from perilune import PeriluneError, Problem, preflight
 from perilune.atlas import Atlas
 from perilune.core import Quantity, Vector
-from perilune.models.catalogue import KINDS, key_of
+from perilune.models import KINDS, key_of
 from perilune.problem.presolve import is_possible
 
 _WIDE, _TURN = 0.25, math.radians(10.0)  # of a value to either side; of an angle at most

@@ -11,8 +11,7 @@ from perilune import PeriluneError, Problem, Solution
 from perilune.app.sliders import Knob, knobs
 from perilune.atlas import HEADER, Atlas, open as open_atlas
 from perilune.core import parse_quantity
-from perilune.io.format import SOLUTION_FILE
-from perilune.io.load import claims_of, load_with_tree
+from perilune.io import SOLUTION_FILE, claims_of, load_with_tree
 from perilune.scenario import apply_change, load_file, load_text, parse, scenario_toml, template
 
 

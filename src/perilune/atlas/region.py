@@ -23,7 +23,7 @@ from perilune.core import (
     unknown_name,
     wrong_type_error,
 )
-from perilune.models.catalogue import key_of
+from perilune.models import key_of
 from perilune.problem.problem import Problem
 
 MOST_AXES = 4

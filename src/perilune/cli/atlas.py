@@ -141,7 +141,7 @@ def _run_atlas_verify(typed: Namespace) -> CommandAnswer:
 
 def _run_atlas_query(typed: Namespace) -> CommandAnswer:
     from perilune import verify
-    from perilune.io.save import solution_document
+    from perilune.io import solution_document
     from perilune.report import solution_summary
 
     atlas = _open_typed_atlas(typed)
@@ -164,7 +164,7 @@ def _run_atlas_query(typed: Namespace) -> CommandAnswer:
 
 def _run_atlas_export(typed: Namespace) -> CommandAnswer:
     from perilune.atlas import FORMS, export
-    from perilune.io.exports.formats import format_of
+    from perilune.io import format_of
 
     atlas, form = _open_typed_atlas(typed), format_of(typed.out, typed.format, list(FORMS))
     there = _file_signature(typed.out)
@@ -179,7 +179,7 @@ def _run_atlas_export(typed: Namespace) -> CommandAnswer:
 
 def _run_atlas_plot(typed: Namespace) -> CommandAnswer:
     from perilune.atlas import sliced
-    from perilune.io.atomic_files import NotWrittenError
+    from perilune.io import NotWrittenError
     from perilune.report import write_maps
 
     atlas = _open_typed_atlas(typed)

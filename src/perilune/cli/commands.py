@@ -106,7 +106,7 @@ def _plainer_flight(solution: Solution) -> Solution | None:
 
 
 def _solution_answer(solution: Solution, verbose: bool) -> CommandAnswer:
-    from perilune.io.save import solution_document
+    from perilune.io import solution_document
     from perilune.report import solution_summary
 
     raise_pending_interrupt()
@@ -173,7 +173,7 @@ def _run_check_command(typed: Namespace) -> CommandAnswer:
 
 
 def _run_opportunities_command(typed: Namespace) -> CommandAnswer:
-    from perilune.models.deorbit.opportunities import opportunities, refuse_no_opportunity
+    from perilune.models import opportunities, refuse_no_opportunity
     from perilune.report import opportunities_answer
     from perilune.scenario import load_file
 
@@ -202,7 +202,7 @@ def _run_verify_command(typed: Namespace) -> CommandAnswer:
 
     certificate = typed.certificate
     if certificate is not None:
-        from perilune.io.atomic_files import new_file
+        from perilune.io import new_file
 
         certificate = new_file(certificate, "the certificate", typed.force)  # refused before the work, not after it
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
@@ -217,7 +217,7 @@ def _run_verify_command(typed: Namespace) -> CommandAnswer:
 
 def _with_unread_files(solution: Solution, directory: Path) -> Solution:
     """Add a note that names the files beside ``solution.json``: derived from it, and no evidence."""
-    from perilune.io.format import SOLUTION_FILE
+    from perilune.io import SOLUTION_FILE
 
     if not directory.is_dir():
         return solution
@@ -232,7 +232,7 @@ def _with_unread_files(solution: Solution, directory: Path) -> Solution:
 
 def _write_certificate(solution: Solution, file: Path) -> str:
     """Write the certificate of a theorem; returns a sentence on it."""
-    from perilune.io.atomic_files import fresh_file, json_text
+    from perilune.io import fresh_file, json_text
 
     if solution.verification.certificate is None:
         return "no certificate was written, because there is no theorem"
@@ -244,10 +244,7 @@ def _write_certificate(solution: Solution, file: Path) -> str:
 
 def _run_export_command(typed: Namespace) -> CommandAnswer:
     from perilune import verify
-    from perilune.io.exports.epochs import flight_epoch
-    from perilune.io.exports.provenance import provenance
-    from perilune.io.exports.writing import export_target, require_object, write_export
-    from perilune.io.load import load_with_tree
+    from perilune.io import export_target, flight_epoch, load_with_tree, provenance, require_object, write_export
 
     _, form = export_target(typed.out, typed.format, typed.force)
     named = require_object(form, typed.object_name, typed.object_id)

@@ -21,7 +21,7 @@ def diagnosis(clear_cache: bool) -> CommandAnswer:
     import platform
     from importlib.util import find_spec
 
-    from perilune.io.save import program_versions
+    from perilune.io import program_versions
     from perilune.kernels import clear_cache as clear, report_cache
 
     removed = clear() if clear_cache else None

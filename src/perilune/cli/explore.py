@@ -77,7 +77,7 @@ def serve_or_write_page(typed: Namespace) -> CommandAnswer:
 
 def _write_static_page(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> CommandAnswer:
     from perilune.app import build_static_page, default_sliders
-    from perilune.io.atomic_files import fresh_file, new_file
+    from perilune.io import fresh_file, new_file
 
     chosen = _chosen_sliders(subject, vary) or default_sliders(subject)
     new_file(file, "the page", force)

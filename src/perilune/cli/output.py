@@ -74,7 +74,7 @@ class WrittenFiles:
         except Exception as error:
             if STOPPED.is_set():
                 raise
-            from perilune.io.atomic_files import NotWrittenError
+            from perilune.io import NotWrittenError
 
             if isinstance(error, NotWrittenError):
                 self.failed += error.failed
@@ -214,7 +214,7 @@ def print_answer(answer: CommandAnswer, as_json: bool) -> int:
         print_to_stderr(text)
     if as_json or not refused:
         if as_json:
-            from perilune.io.atomic_files import json_text
+            from perilune.io import json_text
 
             text = json_text(answer.document)
         return print_text(text.rstrip("\n"), answer.exit_code)

@@ -189,7 +189,7 @@ def refuse_unusable_target(out: Path | None, force: bool) -> None:
         If it exists and may not be replaced, or cannot be written.
     """
     if out is not None:
-        from perilune.io.atomic_files import fresh_directory
+        from perilune.io import fresh_directory
 
         with fresh_directory(out, force):
             pass
@@ -213,12 +213,11 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
     try:
         yield
     except (InfeasibleError, NotConvergedError, KeyboardInterrupt) as error:
-        from perilune.io.atomic_files import FAILURE_FILE, fresh_directory, in_use, json_text
+        from perilune.io import FAILURE_FILE, fresh_directory, in_use, json_text
 
         interrupted = isinstance(error, KeyboardInterrupt) or STOPPED.is_set()
         if out is not None and not (interrupted and in_use(out)):
-            from perilune.io.format import hash_of
-            from perilune.io.save import program_versions, whole_document
+            from perilune.io import hash_of, program_versions, whole_document
 
             known = error if isinstance(error, PeriluneError) and not interrupted else interrupted_error()
             said = refusal_answer(known, getattr(error, "exit_code", INTERRUPTED))

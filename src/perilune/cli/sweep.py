@@ -173,7 +173,7 @@ def ranges_of_keys(order: Namespace, read: Callable[[str, str, Mapping[str, Any]
 def _refuse_used_directory(order: Namespace) -> None:
     """Refuse a directory with other content, or with a sweep that is neither to be resumed nor replaced."""
     from perilune.families import MANIFEST
-    from perilune.io.atomic_files import in_use
+    from perilune.io import in_use
 
     stored = (order.out / MEMBERS / MANIFEST).is_file()
     if stored and not (order.force or order.resume):

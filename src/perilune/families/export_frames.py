@@ -13,9 +13,7 @@ import numpy as np
 
 from perilune.core import Vector
 from perilune.families.family import Family
-from perilune.io.columns import display_unit
-from perilune.io.exports.table import FlightColumn
-from perilune.io.exports.tabular import cf_unit, missing_package
+from perilune.io import FlightColumn, cf_unit, display_unit, missing_package
 from perilune.problem.results.solution import Solution
 
 if TYPE_CHECKING:

@@ -26,11 +26,20 @@ import numpy as np
 
 from perilune.core import Deferred, Outcome, PeriluneError, bounded_bytes, bounded_text
 from perilune.families.family import FamilyPoint
-from perilune.io.atomic_files import finite
-from perilune.io.format import LARGEST_FILE
-from perilune.io.json_checks import array, enumeration_member, part, refuse_entry, short_text, tree
-from perilune.io.load import read_answer, read_trajectories
-from perilune.io.save import answer_document, program_versions
+from perilune.io import (
+    LARGEST_FILE,
+    answer_document,
+    array,
+    enumeration_member,
+    finite,
+    part,
+    program_versions,
+    read_answer,
+    read_trajectories,
+    refuse_entry,
+    short_text,
+    tree,
+)
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Trajectory

@@ -12,9 +12,7 @@ from typing import Any
 
 from perilune.core import PeriluneError, Quantity, record_keys, record_of_values, record_values, section_of
 from perilune.io.json_checks import finite_number, part, refuse_entry, short_text
-from perilune.models.catalogue import KINDS, kind_named, kind_names, unknown_kind
-from perilune.models.kind import Section
-from perilune.models.physics.bodies import Body, recognise_body
+from perilune.models import KINDS, Body, Section, kind_named, kind_names, recognise_body, unknown_kind
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Parameter
 

@@ -6,7 +6,16 @@ The orbit before a return is `ReturnOrbit` here, and `Orbit` the one before a la
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from perilune.models.deorbit.opportunities import Opportunity, opportunities
+    from perilune.models.catalogue import HYBRID, KINDS, key_of, kind_named, kind_names, one_line_error, unknown_kind
+    from perilune.models.deorbit.opportunities import (
+        DOUBTFUL,
+        OUT_OF_REACH,
+        REACHABLE,
+        Opportunity,
+        opportunities,
+        refuse_no_opportunity,
+    )
+    from perilune.models.deorbit.orbit import AXIS, angles_of_place, plane_axes
     from perilune.models.deorbit.problem import deorbit_entry
     from perilune.models.deorbit.records import (
         Atmosphere,
@@ -22,8 +31,8 @@ if TYPE_CHECKING:
         Transition,
     )
     from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
-    from perilune.models.kind import Kind, Section
-    from perilune.models.landing.problem import Orbit, hybrid_landing
+    from perilune.models.kind import PROOF, Kind, Section
+    from perilune.models.landing.problem import LandingSite, Orbit, hybrid_landing
     from perilune.models.physics.atmosphere import Air
     from perilune.models.physics.bodies import (
         BODIES,
@@ -36,7 +45,28 @@ if TYPE_CHECKING:
         Body,
         Planet,
         UniformGravity,
+        matching_known_body,
+        recognise_body,
     )
+    from perilune.models.physics.flight_path import (
+        FlightPath,
+        flight_path,
+        flight_path_rates,
+        gravity_components,
+        path_axes,
+        to_cartesian,
+    )
+    from perilune.models.physics.orientation import axes_in_space, describe_orientation
+    from perilune.models.physics.rotating_frame import (
+        combine,
+        cross_product,
+        free_acceleration,
+        heading_axes,
+        local_axes,
+        scalar_product,
+        spherical_coordinates,
+    )
+    from perilune.models.physics.time_scales import leap_seconds_within, utc_after
     from perilune.models.physics.vehicle import Retro, Throttle, Vehicle
     from perilune.models.precision.final_descent import FinalDescent
     from perilune.models.precision.path_constraints import Corridor

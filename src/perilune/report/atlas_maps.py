@@ -17,8 +17,7 @@ from matplotlib.ticker import NullFormatter
 
 from perilune.atlas import Axis, Slice
 from perilune.core import PeriluneError, Vector
-from perilune.io.atomic_files import fresh_directory, refuse_unwritten, write_each
-from perilune.io.columns import display_unit
+from perilune.io import display_unit, fresh_directory, refuse_unwritten, write_each
 from perilune.report.contour_map import label_lines, move_labels_inside
 from perilune.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, new_figure, save_figure, styled
 from perilune.report.time_histories import LONG

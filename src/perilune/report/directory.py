@@ -43,8 +43,7 @@ def write_all(
     PeriluneError
         If the directory cannot be written, or is not empty and `force` is false.
     """
-    from perilune.io.atomic_files import fresh_directory, refuse_unwritten
-    from perilune.io.save import write_solution_files
+    from perilune.io import fresh_directory, refuse_unwritten, write_solution_files
 
     with fresh_directory(out_dir, force) as work:
         failed = write_solution_files(solution, work, scenario_text)
@@ -73,8 +72,7 @@ def add_report(
     NotWrittenError
         If a figure or the report cannot be written.
     """
-    from perilune.io.atomic_files import fresh_directory, refuse_unwritten
-    from perilune.io.save import solution_files
+    from perilune.io import fresh_directory, refuse_unwritten, solution_files
 
     with fresh_directory(directory, force=True) as work:
         for name in solution_files(solution):
@@ -90,7 +88,7 @@ def _write_figures_and_report(
     """Write figures and report into a directory; return the errors of those that failed."""
     from matplotlib.figure import Figure
 
-    from perilune.io.atomic_files import FIGURES, unwritten, write_each
+    from perilune.io import FIGURES, unwritten, write_each
     from perilune.report.figures import save_figure, solution_drawings
     from perilune.report.summary import solution_markdown
 

@@ -15,9 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perilune.core import Outcome
-from perilune.io.atomic_files import finite, fresh_directory, json_text, refuse_unwritten, write_each
-from perilune.io.columns import display_unit, round_degrees
-from perilune.io.save import results_document
+from perilune.io import (
+    display_unit,
+    finite,
+    fresh_directory,
+    json_text,
+    refuse_unwritten,
+    results_document,
+    round_degrees,
+    write_each,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

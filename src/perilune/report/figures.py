@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.core import Outcome, one_line
-from perilune.io.columns import phase_columns
+from perilune.io import phase_columns
 from perilune.problem.display.views import History
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

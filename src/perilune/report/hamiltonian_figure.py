@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.core import Vector
-from perilune.io.columns import display_times, hamiltonian, hamiltonian_terms, per_unit, required_hamiltonian
+from perilune.io import display_times, hamiltonian, hamiltonian_terms, per_unit, required_hamiltonian
 from perilune.problem.controls import directions
 from perilune.problem.results.solution import Solution
 from perilune.report.style import BLUE, GREEN, VERMILION, new_figure, styled, time_text

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from perilune.models.deorbit.opportunities import DOUBTFUL, OUT_OF_REACH, REACHABLE, Opportunity
+from perilune.models import DOUBTFUL, OUT_OF_REACH, REACHABLE, Opportunity
 
 _HEAD = f"{'ignition':>21} {'landing':>10}  {'pass':10} {'off the plane':>22} {'turn':>9} {'delta-V':>11}  verdict"
 

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.core import Matrix, Vector
-from perilune.io.columns import display_times
+from perilune.io import display_times
 from perilune.problem.results.solution import Solution
 from perilune.report.style import GREY, LOOKS, new_figure, styled
 

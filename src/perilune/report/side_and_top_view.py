@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.core import Matrix, Vector
-from perilune.io.columns import display_times
+from perilune.io import display_times
 from perilune.problem.results.solution import Solution, full
 from perilune.report.style import FLAT, GREY, LOOKS, legend_above, new_figure, styled, widen_vertical_range
 

@@ -18,7 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from perilune.io.atomic_files import DRAWN_BY
+from perilune.io import DRAWN_BY
 from perilune.problem.problem import Problem
 
 COLUMN_WIDTH = 3.4  # inches

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from perilune.io.save import extremals_document
+from perilune.io import extremals_document
 from perilune.problem.results.solution import Result, Solution
 from perilune.problem.verification import LEVEL_NAMES, Verification
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import Column, flight_columns
+from perilune.io import Column, flight_columns
 from perilune.problem.display.views import History
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution

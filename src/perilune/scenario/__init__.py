@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from perilune.core import Quantity, check_call, public_names, require_path, require_type
-from perilune.models.catalogue import KINDS, kind_names
+from perilune.models import KINDS, kind_names
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.scenario.ranges import bounds_of, values_of

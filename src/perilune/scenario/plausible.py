@@ -10,12 +10,20 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from perilune.core import PeriluneError, record_values
-from perilune.models.deorbit.records import Interface, Landing, Returner
-from perilune.models.descent.problem import Ignition, Site
-from perilune.models.landing.problem import LandingSite, Orbit
-from perilune.models.physics.bodies import Body, UniformGravity, matching_known_body
-from perilune.models.physics.vehicle import Vehicle
-from perilune.models.precision.problem import Approach
+from perilune.models import (
+    Approach,
+    Body,
+    Ignition,
+    Interface,
+    Landing,
+    LandingSite,
+    Orbit,
+    Returner,
+    Site,
+    UniformGravity,
+    Vehicle,
+    matching_known_body,
+)
 
 GRAVITATIONAL_CONSTANT = 6.6743e-11  # m^3/(kg s^2), CODATA 2018; only for the plausibility of a body's density
 # Comets have about 500 kg/m^3 and Mercury and the Earth 5500; a slip between km and m changes the density

@@ -16,9 +16,7 @@ from perilune.core import (
     unknown_name,
     with_key_named,
 )
-from perilune.models.catalogue import HYBRID, KINDS, kind_named
-from perilune.models.kind import PROOF, Kind, Section
-from perilune.models.physics.bodies import Body, recognise_body
+from perilune.models import HYBRID, KINDS, PROOF, Body, Kind, Section, kind_named, recognise_body
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.scenario.plausible import refuse_slips

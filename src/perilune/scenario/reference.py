@@ -6,8 +6,7 @@ import tomllib
 from collections.abc import Iterator
 
 from perilune.core import Key, PeriluneError, Quantity, check_call, wrong_type_error
-from perilune.models.catalogue import KINDS, kind_named, kind_names, one_line_error, unknown_kind
-from perilune.models.kind import Kind, Section
+from perilune.models import KINDS, Kind, Section, kind_named, kind_names, one_line_error, unknown_kind
 from perilune.scenario.reader import names_files, names_of, problem_of, tolerance_of
 from perilune.scenario.text import parse
 

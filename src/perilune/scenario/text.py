@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from perilune.core import PeriluneError, bounded_text, refuse_nested
-from perilune.models.catalogue import KINDS
+from perilune.models import KINDS
 
 LARGEST_FILE = 64 * 1024  # bytes; a complete scenario takes about one thousand
 LONGEST_LINE = 1000  # characters; keeps the time of the TOML parser linear in practice

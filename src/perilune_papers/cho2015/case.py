@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from perilune import Problem
-from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.physics.bodies import Body
+from perilune.models import Body, Orbit, Retro, Vehicle, hybrid_landing
 from perilune_papers.paper import Printed
 
 

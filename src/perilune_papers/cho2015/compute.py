@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from perilune import Extremal, Family, Outcome, PeriluneError, Solution, solve, sweep
 from perilune.core import Watch
-from perilune.models.landing.problem import Retro
+from perilune.models import Retro
 from perilune_papers.cho2015.case import ACCELERATIONS, CONSTANTS, IMPULSES, PRINTED, RETRO_BURNS, cho_landing
 from perilune_papers.paper import worst_solution
 

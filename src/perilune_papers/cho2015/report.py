@@ -12,9 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune import Solution
-from perilune.io.atomic_files import json_text
-from perilune.io.columns import flight_columns
-from perilune.io.save import extremals_document
+from perilune.io import extremals_document, flight_columns, json_text
 from perilune.report import (
     family_csv,
     family_document,

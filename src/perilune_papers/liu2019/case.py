@@ -17,10 +17,19 @@ import numpy as np
 
 from perilune import Problem, Solution
 from perilune.core import NUMERIC, Vector
-from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit
-from perilune.models.physics.bodies import Planet
-from perilune.models.physics.flight_path import FlightPath, flight_path, to_cartesian
+from perilune.models import (
+    Atmosphere,
+    FlightPath,
+    Interface,
+    Landing,
+    Manoeuvre,
+    Planet,
+    Returner,
+    ReturnOrbit,
+    deorbit_entry,
+    flight_path,
+    to_cartesian,
+)
 
 STEP = 1e-30  # of derivatives by a complex step
 

@@ -15,8 +15,7 @@ from scipy.integrate import solve_ivp
 
 from perilune import Outcome, PeriluneError, Solution, opposite, preflight, solve
 from perilune.core import NUMERIC, Matrix, Vector, Watch
-from perilune.models.deorbit import orbit
-from perilune.models.physics.rotating_frame import cross_product, local_axes, scalar_product
+from perilune.models import angles_of_place, cross_product, local_axes, plane_axes, scalar_product
 from perilune_papers.liu2019.case import (
     CASE,
     PRINTED_SITE,
@@ -209,8 +208,8 @@ def away_from_plane(longitude: float, latitude: float, going: str, at: Vector) -
         body_radius=CASE.earth.radius, orbit_inclination=CASE.orbit.inclination,
         manoeuvre_longitude=math.radians(longitude), manoeuvre_latitude=math.radians(latitude),
     )  # fmt: skip
-    angle, node = orbit.angles_of_place(going)(p, NUMERIC)
-    up, ahead = orbit.plane_axes(angle, node, p, NUMERIC)
+    angle, node = angles_of_place(going)(p, NUMERIC)
+    up, ahead = plane_axes(angle, node, p, NUMERIC)
     turned = PRINTED_SITE + CASE.earth.rotation_rate * at
     site, _, _ = local_axes(turned, CASE.site_latitude, NUMERIC)
     return np.abs(np.arcsin(scalar_product(site, cross_product(up, ahead))))

@@ -19,15 +19,16 @@ from typing import Any
 import numpy as np
 
 from perilune.core import NUMERIC, Batch, Matrix, Vector
-from perilune.models.deorbit.orbit import AXIS
-from perilune.models.physics.flight_path import (
+from perilune.models import (
+    AXIS,
     FlightPath,
+    combine,
     flight_path_rates,
+    free_acceleration,
     gravity_components,
     path_axes,
     to_cartesian,
 )
-from perilune.models.physics.rotating_frame import combine, free_acceleration
 from perilune_papers.liu2019.case import STEP, dimensionless_constants, paper_units
 
 NAMES = ("V", "γ", "ψ", "r", "Θ", "Φ", "m")

@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from perilune import Problem
-from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
-from perilune.models.landing.problem import Vehicle
-from perilune.models.physics.bodies import Body
+from perilune.models import Body, Ignition, Site, Steering, Vehicle, powered_descent
 from perilune_papers.paper import Printed
 
 

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from perilune import Genetic, Hybrid, Outcome, PeriluneError, Pseudospectral, Solution, solve
 from perilune.core import NUMERIC, Matrix, Vector, Watch
 from perilune.methods import ControlFitness
-from perilune.models.physics.rotating_frame import combine, heading_axes, spherical_coordinates
+from perilune.models import combine, heading_axes, spherical_coordinates
 from perilune_papers.peng2012.case import (
     CASE,
     PRINTED,

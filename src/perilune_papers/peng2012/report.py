@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune import Solution
-from perilune.io.columns import hamiltonian, required_hamiltonian
+from perilune.io import hamiltonian, required_hamiltonian
 from perilune.report import (
     history_figure,
     line_figure,

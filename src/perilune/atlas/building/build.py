@@ -32,9 +32,13 @@ from perilune.core import (
     require_type,
 )
 from perilune.families import Call, Submits, begin_processes, run_calls
-from perilune.io.load import reread_problem
-from perilune.io.presolve_json import comparisons_document, same_comparisons
-from perilune.io.save import program_versions, stated_problem_document
+from perilune.io import (
+    comparisons_document,
+    program_versions,
+    reread_problem,
+    same_comparisons,
+    stated_problem_document,
+)
 from perilune.methods import Indirect
 from perilune.problem.problem import Problem
 

@@ -18,9 +18,7 @@ from perilune.atlas.building.audit import sample_of
 from perilune.atlas.query.query import Atlas
 from perilune.atlas.query.reader import are_possible_answers
 from perilune.core import PeriluneError, check_call, quotient_unit, require_type
-from perilune.io.atomic_files import fresh_file, new_file
-from perilune.io.exports.formats import format_of
-from perilune.io.save import program_versions
+from perilune.io import format_of, fresh_file, new_file, program_versions
 
 _FLOWN = {
     "margin": "margin by which the node is an answer of its sheet, canonical; negative beyond the sheet's border",

@@ -45,7 +45,7 @@ from perilune.core import (
     renamed_keywords,
     require_path,
 )
-from perilune.io.atomic_files import fresh_directory
+from perilune.io import fresh_directory
 from perilune.problem.problem import Problem
 
 _BY_HAND = ("axes", "versions", "format")  # of a header: compared otherwise, or not at all

@@ -28,7 +28,7 @@ from perilune.core import (
     require_type,
     unknown_name,
 )
-from perilune.models.catalogue import key_of
+from perilune.models import key_of
 from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
 

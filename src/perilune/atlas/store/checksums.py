@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from perilune.io.atomic_files import finite
+from perilune.io import finite
 
 FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 6}
 CHECKSUM = "sha256"  # of all else in the header

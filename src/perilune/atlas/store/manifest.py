@@ -14,8 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from perilune.core import PeriluneError
-from perilune.io.atomic_files import finite
-from perilune.io.json_checks import tree
+from perilune.io import finite, tree
 from perilune.problem.results.extremal import Nature
 
 _CHECKSUM = "crc32"

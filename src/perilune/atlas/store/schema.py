@@ -14,8 +14,7 @@ from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.store import HEADER, MANIFEST
 from perilune.charts import Chart, OpenChart, Sheet, arc_sequence_from
 from perilune.core import Vector
-from perilune.io.load import read_problem
-from perilune.io.presolve_json import read_comparisons
+from perilune.io import read_comparisons, read_problem
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
 

@@ -43,9 +43,7 @@ from perilune.atlas.store.manifest import (
     written_line,
 )
 from perilune.core import PeriluneError, bounded_text
-from perilune.io.atomic_files import finite, json_text, refuse_name_of_file
-from perilune.io.format import LARGEST_FILE
-from perilune.io.json_checks import tree
+from perilune.io import LARGEST_FILE, finite, json_text, refuse_name_of_file, tree
 
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
 PATIENCE = 0.2  # seconds between looks at what another builder does
