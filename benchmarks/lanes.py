@@ -21,8 +21,7 @@ import numpy as np
 
 from doubles import Doubles, ball, between, joined
 from perilune.core import Batch
-from perilune.problem.controls import UnitVectorControl
-from perilune.problem.problem import Problem
+from perilune.problem import Problem, UnitVectorControl
 from perilune.rigorous.equations import ProblemReader
 from perilune.rigorous.exact_tape import Unsupported
 from perilune.rigorous.taylor import TaylorProgram

@@ -19,7 +19,7 @@ import numpy as np
 import perilune as pl
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.neighboring import Nearby
-from perilune.problem.presolve import preflight
+from perilune.problem import preflight
 from perilune.scenario import load_file
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -20,8 +20,7 @@ from perilune.core import NUMERIC
 from perilune.models.deorbit.dynamics import path_angle, position_vector, velocity_vector
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.rotating_frame import Triple
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
+from perilune.problem import Phase, Problem
 
 BURNS = 16  # lengths that are tried
 SPENT = 0.98  # of the propellant, at most

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from perilune.models import CERES, EUROPA, MERCURY, MOON, Body, Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from random_problems import PROVED, logarithmic, measured, timed_ending
 
 # Of those that the package does not bring: JPL's tables of physical parameters, rounded; rotation by the sidereal day.

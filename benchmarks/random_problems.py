@@ -50,9 +50,7 @@ from perilune.models import (
     precision_landing,
 )
 from perilune.models.precision.problem import Corridor
-from perilune.problem.presolve import is_possible, preflight
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution, is_possible, preflight
 from perilune.solve import solve
 from refusals import flown_after_all
 

@@ -38,7 +38,7 @@ from perilune.models import (
     deorbit_entry,
 )
 from perilune.models.physics import ellipsoid
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from plain_returns import landing
 from random_problems import PROVED, OutOfTime, at_most, ending, logarithmic, measured
 

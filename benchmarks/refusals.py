@@ -44,7 +44,7 @@ from perilune.models import (
     precision_landing,
 )
 from perilune.models.precision.problem import Corridor
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.scenario import load_file
 from perilune.solve import solve
 

@@ -20,7 +20,7 @@ import numpy as np
 from flint import arb, ctx
 
 from perilune.core import Outcome, PeriluneError, ignore_events
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.rigorous.enclosure_step import NotEnclosed
 from perilune.rigorous.krawczyk import NotProved, prove_root
 from perilune.rigorous.theorem import ProvedExtremal, attempt_proof

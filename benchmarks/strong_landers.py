@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 
 from perilune.models import CERES, EUROPA, MERCURY, MOON, Body, Ignition, Site, Vehicle, powered_descent
-from perilune.problem.presolve import is_possible, preflight
-from perilune.problem.problem import Problem
+from perilune.problem import Problem, is_possible, preflight
 from random_problems import DRAWS, PROVED, logarithmic, measured, surface_gravity, timed_ending
 
 # A made-up body with the gravity of Minmus, a moon of the game Kerbal Space Program.

@@ -32,8 +32,7 @@ from scipy.optimize import minimize_scalar
 from perilune.core import PeriluneError
 from perilune.models import MARS, Approach, Site, UniformGravity, precision_landing
 from perilune.models.precision.problem import Corridor
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.scenario import load_file
 from perilune.solve import solve
 from random_problems import AIRLESS, PROVED, OutOfTime, at_most, ending, logarithmic, measured, surface_gravity, vehicle

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from doubles import Doubles
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 _ROOM = 1 + 1e-9  # far above what rounding does to the bounds of `Viable`
 _SAMPLE, _FASTER = 0.5, 20.0  # of these bounds [s], and what a sample adds to a speed at most [m/s]

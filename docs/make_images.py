@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from perilune.problem.results.solution import Solution
+    from perilune.problem import Solution
 
 IMAGES = Path(__file__).parent / "images"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from perilune.problem.results.solution import Solution
+    from perilune.problem import Solution
 
 DIGITS = {"m/s": 5, "kg": 5, "s": 3, "deg": 5}
 # Specific impulses [s] around that at which the retro burn stops paying; between them its gain is linear.

@@ -23,7 +23,7 @@ from perilune.families.family import Family, FamilyPoint
 from perilune.io import json_text, solution_document
 from perilune.io.exports.writing import FORMATS, export, to_dataframe, to_xarray
 from perilune.io.save import save
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve
 from perilune.report.family import family_csv, family_document, family_figure
 from perilune.report.figures import solution_drawings
 from perilune.report.notebook import solution_page

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from perilune.models import Body, Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 # Not printed by Cho et al. 2015; these reproduce every digit it prints.
 CHO_MOON = Body(name="moon", gravitational_parameter=4902.7779e9, radius=1738.14e3, rotation_rate=2.6617e-6)

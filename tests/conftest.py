@@ -10,8 +10,7 @@ import tempfile
 import pytest
 
 from cho import cho_landing
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.solve import solve
 
 #: Files with tests of half a minute: they come first, so that at the end no process waits for one of them.

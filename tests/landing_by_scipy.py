@@ -14,10 +14,7 @@ from scipy.integrate import solve_ivp
 
 from perilune.core import NUMERIC, Outcome
 from perilune.models import Body, Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.problem import Problem
-from perilune.problem.results.hermite_nodes import hermite_nodes
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve, Trajectory
+from perilune.problem import Curve, Problem, Solution, Trajectory, hermite_nodes
 
 STEP = 1e-40
 MOON = Body(name="moon", gravitational_parameter=4902.7779e9, radius=1738.14e3, rotation_rate=2.6617e-6)

@@ -16,11 +16,16 @@ from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.core import Matrix, Scales, Vector
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.controls import ScalarControl, UnitVectorControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import (
+    Conditions,
+    FreeParameter,
+    Parameter,
+    Phase,
+    Problem,
+    ScalarControl,
+    UnitVectorControl,
+    Variable,
+)
 from perilune.shooting.shooting_function import Shooting
 from problems.ascents import TWO_STAGES, staged_launch
 

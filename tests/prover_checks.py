@@ -21,8 +21,7 @@ from flint import arb, arb_mat, arb_series, ctx, fmpq
 import perilune as pl
 import perilune_checker.equations
 from perilune.core import parse_quantity
-from perilune.problem.variables import Parameter
-from perilune.problem.verification import Verification
+from perilune.problem import Parameter, Verification
 from problems.ascents import tangent_steering
 from problems.integrators import least_time
 from problems.landings import meditch

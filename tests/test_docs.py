@@ -24,7 +24,7 @@ import pytest
 from cho import cho_landing
 from perilune.cli import run_command_line
 from perilune.core import Outcome
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.solve import solve
 from perilune.verify import verify
 from test_layers import ROOMS

@@ -40,13 +40,20 @@ ROOMS = (
     "cli",
     "__main__",
 )
-# Rooms that are entered by their face only: by what `room/__init__.py` offers, and so many names at most.
-FACED = (
-    "core", "kernels", "conditions", "shooting", "structures", "direct", "methods", "charts", "proof", "rigorous",
-    "models", "scenario", "io", "families", "atlas", "report", "app", "cli",
-)  # fmt: skip
-MOST_NAMES = {"core": 100, "structures": 25, "charts": 22, "models": 36, "io": 60, "atlas": 18, "report": 22}
 FACE = "__init__"  # of the package: it names what is handed on, lazily
+# Folders are entered by their face only: by what `room/__init__.py` offers, and so many names at most that are not
+# for users too.
+FACED = tuple(room for room in ROOMS if (SOURCE / "perilune" / room / "__init__.py").exists() and room != "words")
+MOST_NAMES = {
+    "core": 100,
+    "problem": 129,
+    "structures": 25,
+    "charts": 22,
+    "models": 36,
+    "io": 60,
+    "atlas": 18,
+    "report": 22,
+}
 FILES = sorted(SOURCE.rglob("*.py"))
 MATHEMATICS = ROOMS[: ROOMS.index("models")]
 

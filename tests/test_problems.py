@@ -20,10 +20,7 @@ from perilune.conditions.pontryagin import derive
 from perilune.core import PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.casadi_trace import canonical_free, state_scales
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, Problem, Solution, canonical_free, state_scales
 from perilune.shooting.shooting_function import Shooting
 from problems import LIBRARY, Answered
 from problems.answered import Method

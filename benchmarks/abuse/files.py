@@ -14,7 +14,7 @@ from abused import EXAMPLES, OURS, Fault, Material, demand, falsified, replaced
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.problem.presolve import preflight
+from perilune.problem import preflight
 from perilune.scenario import load_text
 
 _SAME = 1e-6  # relative: answers that agree so far are the same

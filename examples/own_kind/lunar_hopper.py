@@ -7,7 +7,7 @@ from typing import Any
 import perilune as pl
 from perilune.core import quantity, record
 from perilune.models import Kind, Section
-from perilune.problem.parameters import given_of
+from perilune.problem import given_of
 
 
 @record("problem")

@@ -25,12 +25,7 @@ from perilune.core import (
     require_type,
 )
 from perilune.methods import Indirect, Method
-from perilune.problem.display.quantity_names import objective_text
-from perilune.problem.presolve import preflight, refuse_impossible
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.tolerance import Tolerance
-from perilune.problem.verification import LEVELS, THEOREM
+from perilune.problem import LEVELS, THEOREM, Problem, Solution, Tolerance, objective_text, preflight, refuse_impossible
 from perilune.structures import with_budgets
 from perilune.verify import method_or_default, require_tolerance, theorem_prover, verify
 

@@ -21,11 +21,7 @@ from perilune.core import (
     wrong_type_error,
 )
 from perilune.methods import Indirect, Method
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
-from perilune.problem.results.solution import Solution
-from perilune.problem.tolerance import Tolerance
-from perilune.problem.verification import LEVELS, THEOREM, Verification
+from perilune.problem import LEVELS, THEOREM, Nature, Problem, Solution, Tolerance, Verification
 
 if TYPE_CHECKING:
     from perilune.proof import Resolve

@@ -46,7 +46,7 @@ from perilune.app.worker import SupersededWork, WorkerKilled, WorkerProcess, in_
 from perilune.cli.commands import run_command
 from perilune.core import InfeasibleError, NotConvergedError, Watch, ignore_events
 from perilune.io.save import save
-from perilune.problem.presolve import preflight, refuse_impossible
+from perilune.problem import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
 

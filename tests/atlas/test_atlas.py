@@ -53,9 +53,7 @@ from perilune.cli import run_command_line
 from perilune.core import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.io import comparisons_document, read_comparisons, same_comparisons
 from perilune.kernels import compile_map
-from perilune.problem.presolve import Finding
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Finding, Nature, Problem
 from perilune.scenario import load_file
 from perilune.solve import solve
 from problems.constrained import bryson_denham, bryson_denham_truth

@@ -26,7 +26,7 @@ from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.store.cells import WHOLE
 from perilune.atlas.survey import survey
 from perilune.core import Matrix, Vector
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Variable
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 

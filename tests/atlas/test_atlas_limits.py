@@ -22,8 +22,7 @@ from perilune.charts.chart import Chart, Holds
 from perilune.charts.sheet import Sheet
 from perilune.core import Matrix, Vector
 from perilune.models import MOON, Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.results.extremal import Nature
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Nature, Parameter, Variable
 from perilune.structures import Arc, Structure
 from problems.constrained import timed_bryson_denham
 

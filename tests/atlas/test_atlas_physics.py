@@ -13,7 +13,7 @@ import perilune as pl
 from perilune.charts.borders import Borders
 from perilune.charts.chart import Chart
 from perilune.charts.feasibility import point_feasibility
-from perilune.problem.presolve import Finding, is_possible, preflight
+from perilune.problem import Finding, is_possible, preflight
 from perilune.scenario import load_file
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -28,7 +28,7 @@ from perilune.charts.reintegrate import SLACK, ChartReintegration
 from perilune.charts.sheet import Sheet
 from perilune.core import Matrix, PeriluneError, ignore_events
 from perilune.methods.indirect.search import Search
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 from perilune.structures import revise_arcs
 from problems.constrained import (
     brachistochrone,

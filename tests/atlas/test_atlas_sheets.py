@@ -29,7 +29,7 @@ from perilune.charts.chart import Chart
 from perilune.charts.sheet import Sheet
 from perilune.core import ignore_events
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 from perilune.solve import solve
 from problems.folded import cusp, cusp_cost, cusp_ends, two_cusps, two_cusps_cost
 

@@ -20,9 +20,7 @@ from perilune.cli.arguments import parse_command_line
 from perilune.core import InfeasibleError, Iteration, NotConvergedError, Outcome
 from perilune.families.continuation import Continuation
 from perilune.families.family import Family, FamilyPoint
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import LEVELS
+from perilune.problem import LEVELS, Problem, Solution
 from perilune.verify import verify
 
 

@@ -18,8 +18,7 @@ from perilune.cli import run_command_line
 from perilune.cli.progress import SpinnerText
 from perilune.core import InfeasibleError, PeriluneError
 from perilune.io import fresh_directory
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.scenario import template
 
 PRECISION = str(ROOT / "examples" / "precision_landing.toml")

@@ -20,14 +20,18 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.evolutionary.genetic import Genetic
 from perilune.methods.evolutionary.hybrid import Hybrid
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.controls import ScalarControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.presolve import preflight
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
-from perilune.problem.variables import FreeParameter, Parameter, Variable
-from perilune.problem.verification import Check
+from perilune.problem import (
+    Check,
+    Conditions,
+    FreeParameter,
+    Nature,
+    Parameter,
+    Phase,
+    Problem,
+    ScalarControl,
+    Variable,
+    preflight,
+)
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.first_order import _check_range_signs
 from perilune.scenario import load_text

@@ -19,7 +19,7 @@ from perilune.conditions.pontryagin import derive
 from perilune.conditions.singular_control import singular_control
 from perilune.core import PeriluneError
 from perilune.methods.indirect.chattering import find_chattering_arc
-from perilune.problem.tracing.costate_signs import cost_states, unpriced_states
+from perilune.problem import cost_states, unpriced_states
 from problems.goddard import goddard
 from test_control_law import given, slide, variables
 
@@ -408,7 +408,7 @@ def test_costates_of_another_cart_are_no_proof() -> None:
 
 def test_a_theorem_of_what_only_counts() -> None:
     pytest.importorskip("flint")
-    from perilune.problem.verification import Verification
+    from perilune.problem import Verification
     from perilune.rigorous.verified import add_theorem_checks
     from perilune_checker.check import confirm
 
@@ -423,7 +423,7 @@ def test_a_theorem_of_what_only_counts() -> None:
 
 def test_a_certificate_that_asks_for_what_is_counted_is_refused() -> None:
     pytest.importorskip("flint")
-    from perilune.problem.verification import Verification
+    from perilune.problem import Verification
     from perilune.rigorous.verified import add_theorem_checks
     from perilune_checker.check import confirm
     from perilune_checker.expressions import Failed

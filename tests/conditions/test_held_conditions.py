@@ -14,8 +14,7 @@ import pytest
 import perilune as pl
 from perilune.conditions.active_constraints import minimising_direction
 from perilune.core import PeriluneError
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, Solution
 from test_control_law import given, variables
 
 

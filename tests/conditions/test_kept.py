@@ -17,11 +17,16 @@ from perilune.conditions.pontryagin import attainable_conditions, derive
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.initializers import ColdStarts
 from perilune.models.descent.coordinates import variables_of_unit
-from perilune.problem.controls import ScalarControl, UnitVectorControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import (
+    Conditions,
+    FreeParameter,
+    Parameter,
+    Phase,
+    Problem,
+    ScalarControl,
+    UnitVectorControl,
+    Variable,
+)
 from perilune.scenario import load_file
 from perilune.solve import solve
 

@@ -20,7 +20,7 @@ from perilune.conditions.pontryagin import attainable_conditions, derive
 from perilune.conditions.scalar_minimum import _condition_zeros_on_line, minimise_interior_scalars
 from perilune.conditions.scalar_regimes import Scalar, pivots
 from perilune.methods.indirect.admissibility import AdmissibilityTest
-from perilune.problem.controls import Settled
+from perilune.problem import Settled
 from perilune.shooting.shooting_function import Shooting
 from problems.entry import limited_entry
 from test_control_law import given, slide, variables

@@ -15,7 +15,7 @@ from perilune.conditions.canonical_equations import (
 )
 from perilune.models import Approach, UniformGravity, Vehicle, precision_landing
 from perilune.models.precision.path_constraints import NONE
-from perilune.problem.casadi_trace import trace_parameters
+from perilune.problem import trace_parameters
 from perilune.structures import Arc, Structure
 from perilune.structures.multiphase import restate
 

@@ -15,7 +15,7 @@ import pytest
 import perilune as pl
 from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import PeriluneError
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 Old: Any = pl  # which names what it no longer lists
 GOES = "goes with the next minor version"

@@ -19,8 +19,7 @@ from PIL import Image
 import perilune as pl
 from command_line import ENVIRONMENT, ROOT
 from perilune.core.errors import Outcome, PeriluneError
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.report.plot import plot
 from perilune.scenario import load_file
 

@@ -21,7 +21,7 @@ from cho import cho_landing
 from command_line import ENVIRONMENT
 from perilune.core.errors import PeriluneError
 from perilune.models import MARS, MOON, Body, Orbit, Retro, Vehicle, hybrid_landing, powered_descent, precision_landing
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.scenario import load_file
 
 LANDING = cho_landing()

@@ -14,11 +14,7 @@ from perilune.core import InfeasibleError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.method import Method
-from perilune.problem.display.quantity_names import end_text, kept_text
-from perilune.problem.named_values import Conditions
-from perilune.problem.presolve import preflight
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter
+from perilune.problem import Conditions, FreeParameter, Parameter, Problem, end_text, kept_text, preflight
 from perilune.scenario import load_file
 from perilune.solve import solve
 from problems.integrators import least_energy, least_time

@@ -17,10 +17,7 @@ from perilune.direct.mesh import refine_mesh
 from perilune.direct.nlp import TranscribedProgram
 from perilune.direct.reduced_space import AddedWeights, ReducedEquations, count_negative_eigenvalues
 from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.problem.casadi_trace import Unnumbered, canonical_given
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Phase, Problem, Unnumbered, Variable, canonical_given
 from problems.ascents import tangent_steering
 from problems.goddard import goddard
 from problems.integrators import least_energy, least_time

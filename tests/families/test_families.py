@@ -26,7 +26,7 @@ from perilune.core import InfeasibleError, NotConvergedError, Outcome, PeriluneE
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.report.family import family_csv
 from perilune.solve import solve
 from perilune.verify import verify

@@ -9,8 +9,7 @@ import pytest
 
 from perilune.core import Outcome, PeriluneError
 from perilune.families.sweep import sweep
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.shooting.continuation import Member, follow_family
 from perilune.shooting.shooting_function import Root
 from perilune.solve import solve

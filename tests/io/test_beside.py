@@ -20,8 +20,7 @@ from perilune.cli import run_command_line
 from perilune.core import Outcome, PeriluneError
 from perilune.io.json_checks import LONGEST_TEXT
 from perilune.io.save import save
-from perilune.problem.results.extremal import Nature
-from perilune.problem.results.solution import Solution
+from perilune.problem import Nature, Solution
 from perilune.proof.cross_check import check_agreement
 from perilune.proof.recheck import confirm_listed_extremals
 from perilune.report.directory import REPORT_FILE

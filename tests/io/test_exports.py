@@ -25,7 +25,7 @@ from perilune.io.exports.inertial_path import LOST, InertialLeg, legs
 from perilune.io.exports.table import flight_table
 from perilune.io.exports.tabular import write_netcdf
 from perilune.models import MARS, MOON, Body, Orbit, Vehicle, hybrid_landing, leap_seconds_within
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.scenario import load_file
 
 EPOCH = "2030-01-01T00:00:00"

@@ -20,9 +20,7 @@ from perilune.core import Outcome, PeriluneError
 from perilune.io.model_records import model_document, read_model
 from perilune.io.problem_json import physics_document, read_physics
 from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import Verification
+from perilune.problem import Problem, Solution, Verification
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve

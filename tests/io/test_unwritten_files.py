@@ -17,8 +17,7 @@ from perilune.cli import run_command_line
 from perilune.families.family import Family, FamilyPoint
 from perilune.io import save as export
 from perilune.io.atomic_files import NotWrittenError, fresh_directory
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.report import write_all
 from perilune.report.family import write_family
 

@@ -18,7 +18,7 @@ from perilune.methods.indirect.chattering import detect_chattering
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.diagnosis import NO_EXTREMAL
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.display.quantity_names import limit_name, parameter_key, quantity_name
+from perilune.problem import limit_name, parameter_key, quantity_name
 from perilune.scenario import load_file
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -11,8 +11,7 @@ from perilune.core import NUMERIC
 from perilune.direct.collocated_solution import Sampler
 from perilune.direct.first_guess import first_guesses
 from perilune.direct.propagated_guess import NODES, fitting_segments, simulate_guess, winds_repeatedly
-from perilune.problem.controls import admissible
-from perilune.problem.problem import Problem
+from perilune.problem import Problem, admissible
 from problems import LIBRARY
 from problems.ascents import TWO_STAGES, staged_launch
 from problems.constrained import deorbit, mars_glide_slope

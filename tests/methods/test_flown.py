@@ -16,7 +16,7 @@ from perilune.core import NotConvergedError, ignore_events
 from perilune.methods.indirect.export_arcs import correct_last_digits, propagate_for_export, propagate_in_one_piece
 from perilune.methods.indirect.result import Curves
 from perilune.methods.indirect.search import Search
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Variable
 from perilune.shooting.shooting_function import Root, Shooting
 from test_control_law import given, variables
 

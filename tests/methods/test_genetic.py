@@ -14,8 +14,7 @@ from perilune.methods.evolutionary.fitness import ControlFitness, CostateFitness
 from perilune.methods.evolutionary.genetic import Generation, Genetic
 from perilune.methods.evolutionary.hybrid import Hybrid
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.controls import ScalarControl
-from perilune.problem.named_values import Conditions
+from perilune.problem import Conditions, ScalarControl
 from problems.peng import PENG_STEERING, peng
 from test_indirect import impossible_steering, tangent_steering
 

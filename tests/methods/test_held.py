@@ -10,11 +10,7 @@ import pytest
 
 from perilune.methods.indirect.indirect import Indirect
 from perilune.models.descent.coordinates import variables_of_unit
-from perilune.problem.controls import ScalarControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter
+from perilune.problem import Conditions, FreeParameter, Parameter, Phase, Problem, ScalarControl
 
 
 def _rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:

@@ -16,12 +16,7 @@ from perilune.conditions.pontryagin import derive
 from perilune.core import Iteration, NotConvergedError, Outcome, PeriluneError
 from perilune.methods.indirect.exported_phases import _reconcile_switch_values
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.named_values import Conditions
-from perilune.problem.problem import Problem
-from perilune.problem.results.hermite_nodes import hermite_nodes
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import Conditions, Curve, FreeParameter, Parameter, Problem, Solution, Variable, hermite_nodes
 from perilune.shooting.continuation import Member, follow_family
 from perilune.shooting.newton import Columns, newton
 from perilune.shooting.shooting_function import Root, Shooting

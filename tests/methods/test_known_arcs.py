@@ -12,8 +12,7 @@ import perilune as pl
 from perilune.conditions.pontryagin import derive
 from perilune.core import Deferred
 from perilune.methods.indirect.refinement import structure_search as structured
-from perilune.problem.perturbed import move_start, with_start_offsets
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution, move_start, with_start_offsets
 from perilune.structures import detect_arcs as reading
 from perilune.structures.detect_arcs import detect_structures
 from perilune.structures.split_join import JoinedTrajectories

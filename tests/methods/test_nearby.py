@@ -11,7 +11,7 @@ import pytest
 import perilune as pl
 from perilune.core import PeriluneError
 from perilune.methods.indirect.neighboring import Nearby
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham
 from problems.ridden import string
 from test_atlas_limits import haul

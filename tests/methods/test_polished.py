@@ -13,8 +13,7 @@ import perilune as pl
 from perilune.cli import run_command_line
 from perilune.methods.polish import solve_and_polish
 from perilune.models import MERCURY, Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature, Problem
 from perilune.scenario import load_file
 from problems import LIBRARY
 from problems.constrained import bryson_denham, bryson_denham_truth, mars_glide_slope

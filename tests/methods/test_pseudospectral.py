@@ -14,10 +14,7 @@ from perilune.core import NUMERIC, InfeasibleError, NotConvergedError, Outcome, 
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.models import MOON, Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.controls import ScalarControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import Conditions, FreeParameter, Parameter, Problem, ScalarControl, Variable
 from perilune.solve import solve
 from problems.ascents import tangent_steering
 from problems.integrators import least_energy, least_time

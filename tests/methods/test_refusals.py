@@ -23,13 +23,18 @@ from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.methods.indirect.violations import ConstraintViolation, bound_violations
 from perilune.models import MOON, Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.controls import ScalarControl
-from perilune.problem.display.quantity_names import stating_keys
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, Statistics
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import (
+    Curve,
+    Parameter,
+    Phase,
+    Problem,
+    ScalarControl,
+    Solution,
+    Statistics,
+    Trajectory,
+    Variable,
+    stating_keys,
+)
 from perilune.scenario import load_file
 from perilune.solve import solve
 from problems.ascents import tangent_steering

@@ -20,7 +20,7 @@ from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.initializers import StartMembers
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.search_state import SearchState
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 from perilune.shooting.shooting_function import Roots, Shooting
 from problems.circles import meeting, to_circle
 from problems.constrained import brachistochrone, bryson_denham, bryson_denham_truth, speed_limit, speed_limit_truth

@@ -13,7 +13,7 @@ import perilune as pl
 from perilune.conditions.singular_control import singular_control
 from perilune.core import ignore_events
 from perilune.methods.indirect.search import Search
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.structures import Arc, Structure
 from perilune.structures.detect_arcs import detect_structures
 from perilune.structures.detect_regimes import EXACT, Stay, _between_breaks, read_stays

@@ -13,7 +13,7 @@ from perilune.core import NUMERIC, PeriluneError, ignore_events
 from perilune.methods.indirect.continuation.homotopy import Smoothing
 from perilune.methods.indirect.continuation.regularized import RATE, smooth_problem
 from perilune.methods.indirect.newton_trials import Trials
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from problems.circles import meeting
 from problems.constrained import brachistochrone
 from problems.landings import meditch

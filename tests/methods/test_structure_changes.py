@@ -23,7 +23,7 @@ from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.violations import ConstraintViolation, solution_violations
 from perilune.models import EUROPA, MARS, MOON, Approach, Site, Vehicle, precision_landing
 from perilune.models.precision.problem import Corridor
-from perilune.problem.verification import Check
+from perilune.problem import Check
 from perilune.proof import levels
 from perilune.proof.sufficient.second_variation import KeptConditions
 from perilune.scenario import load_file

@@ -12,8 +12,7 @@ import pytest
 import perilune as pl
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models import CERES, MERCURY, Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, Solution
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file
 from perilune.structures.state_margins import broken_intervals

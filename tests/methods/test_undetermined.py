@@ -7,7 +7,7 @@ from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.diagnosis import no_start_converged_error, undetermined_controls
 from perilune.methods.indirect.settings import SearchSettings
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.scenario import load_text, template
 
 

@@ -19,7 +19,7 @@ from perilune.models.deorbit.records import Interface, Returner, ReturnOrbit
 from perilune.models.physics import atmosphere, standard_atmosphere
 from perilune.models.physics.air_table import LARGEST_FILE, read_air_table
 from perilune.models.physics.bodies import EARTH
-from perilune.problem.presolve import preflight
+from perilune.problem import preflight
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
 

@@ -17,7 +17,7 @@ from scipy.interpolate import make_interp_spline
 from perilune.core import NUMERIC, PeriluneError
 from perilune.models.physics import atmosphere, standard_atmosphere
 from perilune.models.physics.atmosphere import Air
-from perilune.problem.casadi_trace import SYMBOLIC
+from perilune.problem import SYMBOLIC
 
 # Table I of the standard: altitude [km], density [kg/m^3]; Table VIII: number densities [1/m^3] by way of them.
 PRINTED = {

@@ -17,7 +17,7 @@ from perilune.core import NUMERIC, InfeasibleError, PeriluneError
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.models.deorbit import ballistic_limits as ballistic
 from perilune.models.physics import aerodynamics, ellipsoid
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.scenario import load_file, load_text
 from perilune.structures import conditions_of
 from perilune.structures.detect_arcs import detect_structures

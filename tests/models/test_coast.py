@@ -15,9 +15,7 @@ from perilune.models.physics.bodies import MOON
 from perilune.models.physics.coast import SHORTEST
 from perilune.models.physics.vehicle import Vehicle
 from perilune.models.precision.problem import Approach, Corridor, precision_landing
-from perilune.problem.presolve import preflight, refuse_impossible
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution, preflight, refuse_impossible
 from perilune.report.figures import solution_figures
 from perilune.scenario import load_file
 from perilune.solve import solve

@@ -14,7 +14,7 @@ import perilune as pl
 from perilune.core import NUMERIC, InfeasibleError
 from perilune.models.deorbit.ballistic_fall import terminal_speed
 from perilune.models.physics.crossrange import glide_limits
-from perilune.problem.presolve import preflight
+from perilune.problem import preflight
 from perilune.scenario import load_file
 
 CAPSULE = Path(__file__).parents[2] / "examples" / "capsule_return.toml"

@@ -24,7 +24,7 @@ from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Mano
 from perilune.models.physics import standard_atmosphere
 from perilune.models.physics.atmosphere import tabulated
 from perilune.models.physics.bodies import Planet
-from perilune.problem.presolve import preflight
+from perilune.problem import preflight
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file, load_text, template
 

@@ -28,9 +28,7 @@ from perilune.models.physics.rotating_frame import (
     zonal_gravity,
 )
 from perilune.models.precision.problem import Approach, Corridor, precision_landing
-from perilune.problem.presolve import preflight, refuse_impossible
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution, preflight, refuse_impossible
 from perilune.verify import verify
 from problems.peng import LANDER, PENG_MOON, PENG_STEERING, POLE, SITE, peng
 

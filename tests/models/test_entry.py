@@ -27,7 +27,7 @@ from perilune.models.physics.rotating_frame import (
     scalar_product,
     zonal_gravity,
 )
-from perilune.problem.casadi_trace import SYMBOLIC
+from perilune.problem import SYMBOLIC
 
 AXIS = (0.0, 0.0, 1.0)
 MU, RADIUS, TURN, J2 = 3.986004418e14, 6378137.0, 7.292115e-5, 1.08262668e-3

@@ -12,10 +12,7 @@ from cho import CHO_MOON, cho_landing
 from perilune.core import NUMERIC, InfeasibleError, Outcome, PeriluneError
 from perilune.methods.indirect.indirect import Indirect
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
-from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Parameter
+from perilune.problem import Nature, Parameter, Problem, Solution
 from perilune.report.summary import solution_summary
 from perilune.solve import solve
 

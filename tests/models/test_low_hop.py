@@ -15,7 +15,7 @@ from perilune.core import Outcome
 from perilune.models.descent.problem import Ignition, Site, powered_descent
 from perilune.models.physics.bodies import CERES
 from perilune.models.physics.vehicle import Vehicle
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.solve import solve
 
 MASS, ISP, ALTITUDE, AHEAD, FALL = 80.0, 353.0, 3326.0, 126.0, 87.0

@@ -27,7 +27,7 @@ from perilune.models.deorbit.site_passes import find_passes, largest_plane_turn
 from perilune.models.physics.bodies import Planet
 from perilune.models.physics.rotating_frame import free_acceleration
 from perilune.models.physics.vehicle import Throttle
-from perilune.problem.presolve import preflight
+from perilune.problem import preflight
 
 MU, RADIUS, TURN = 3.986004418e14, 6378137.0, 7.292115e-5
 EARTH = Planet(name="earth", gravitational_parameter=MU, radius=RADIUS, rotation_rate=TURN, j2=1.0826e-3)

@@ -21,9 +21,7 @@ from perilune.models.physics.bodies import CERES, MOON, Body, UniformGravity
 from perilune.models.physics.vehicle import Vehicle
 from perilune.models.precision.final_descent import FinalDescent
 from perilune.models.precision.problem import Approach, Corridor, precision_landing
-from perilune.problem.presolve import preflight
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution, preflight
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
 from problems.constrained import mars_glide_slope

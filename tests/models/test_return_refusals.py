@@ -21,7 +21,7 @@ from perilune.models.deorbit.interface_bounds import interface_speeds, largest_a
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
 from perilune.models.physics.bodies import EARTH, Planet
-from perilune.problem.presolve import preflight
+from perilune.problem import preflight
 from perilune.scenario import load_file
 from test_opportunities import SCENARIO
 

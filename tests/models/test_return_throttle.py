@@ -15,7 +15,7 @@ from perilune.core import PeriluneError
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Interface, Landing, Returner, ReturnOrbit, Separation, Transition
 from perilune.models.physics.vehicle import Throttle
-from perilune.problem.presolve import preflight
+from perilune.problem import preflight
 from perilune.scenario import load_text
 from test_opportunities import SCENARIO
 from test_return_refusals import AIR, BALL, PLACE, VEHICLE

@@ -29,7 +29,7 @@ from perilune.models.deorbit.records import (
     Transition,
 )
 from perilune.models.physics.bodies import EARTH
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 from perilune.scenario import load_file
 from perilune.shooting.contracting_phases import costate_error_growth
 from perilune.verify import verify

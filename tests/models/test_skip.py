@@ -18,7 +18,7 @@ from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Mano
 from perilune.models.deorbit.skip_out import rebound_height
 from perilune.models.physics.atmosphere import exponential
 from perilune.models.physics.bodies import EARTH
-from perilune.problem.presolve import preflight
+from perilune.problem import preflight
 from perilune.verify import verify
 
 CONDITION = "depth_below_interface"

@@ -26,9 +26,7 @@ from perilune.models.landing.presolve import one_burn_velocity_change, two_impul
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import EUROPA, MERCURY, Body
 from perilune.models.physics.one_burn import SPENDS
-from perilune.problem.perturbed import move_start, release_free_parameters, with_start_offsets
-from perilune.problem.presolve import preflight
-from perilune.problem.problem import Problem
+from perilune.problem import Problem, move_start, preflight, release_free_parameters, with_start_offsets
 from perilune.proof.necessary.contact_points import restate_with_contacts
 from perilune.proof.necessary.terminal_bounds import with_end_bounds
 from perilune.proof.sufficient.sensitivities import check_neighbours

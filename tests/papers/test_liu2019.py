@@ -20,7 +20,7 @@ from perilune.atlas.query.query import open_atlas
 from perilune.cli import run_command_line
 from perilune.core import NUMERIC, NotConvergedError, Outcome, PeriluneError
 from perilune.methods.evolutionary.genetic import Genetic
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.solve import solve
 from perilune_papers.liu2019 import equations, fast as fast_method
 from perilune_papers.liu2019.case import CASE, paper_costates, paper_state, paper_units, site_fixed, site_free

@@ -18,7 +18,7 @@ from perilune.io import required_hamiltonian
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models import Approach, Site, Vehicle, precision_landing
 from perilune.models.precision.problem import Corridor
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.side_and_top_view import track_path
 from perilune.solve import solve

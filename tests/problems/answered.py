@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 Method = Indirect | Pseudospectral
 

@@ -15,11 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from perilune.core import Scales
-from perilune.problem.controls import UnitVectorControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import Conditions, FreeParameter, Parameter, Phase, Problem, UnitVectorControl, Variable
 from problems.answered import Answered
 
 END = tuple(Variable(name=n, unit=u) for n, u in (("height", "m"), ("along", "m/s"), ("up", "m/s")))

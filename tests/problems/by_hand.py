@@ -12,8 +12,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 import perilune as pl
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, Solution
 
 NODES = 400  # of an arc
 Formula = Callable[[Any], Any]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 import perilune as pl
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Variable
 
 
 def _variables(**units: str) -> tuple[Variable, ...]:

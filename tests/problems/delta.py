@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import perilune as pl
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Variable
 from problems.answered import Answered
 
 MU, RADIUS, TURNS = 3.986012e14, 6378145.0, 7.29211585e-5

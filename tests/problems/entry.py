@@ -7,11 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from perilune.core import Scales
-from perilune.problem.controls import ScalarControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import Conditions, FreeParameter, Parameter, Phase, Problem, ScalarControl, Variable
 
 
 def _rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import perilune as pl
+from perilune.problem import Variable
 from perilune.problem.problem import Parameter
-from perilune.problem.variables import Variable
 
 
 def cusp(a: float, b: float) -> pl.Problem:

@@ -7,11 +7,7 @@ singular arc H does not depend on the thrust, so that a direct method in one pha
 from __future__ import annotations
 
 from perilune.core import Scales
-from perilune.problem.controls import ScalarControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import Conditions, FreeParameter, Parameter, Phase, Problem, ScalarControl, Variable
 from problems.answered import Answered
 
 FOOT = 0.3048

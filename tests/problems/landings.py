@@ -6,11 +6,7 @@ import math
 from functools import partial
 
 from cho import cho_landing
-from perilune.problem.controls import ScalarControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import Conditions, FreeParameter, Parameter, Phase, Problem, ScalarControl, Variable
 from problems.answered import Answered
 from problems.peng import peng
 

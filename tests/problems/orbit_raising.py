@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from perilune.problem.controls import UnitVectorControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Conditions, Parameter, Phase, Problem, UnitVectorControl, Variable
 from problems.answered import Answered
 
 

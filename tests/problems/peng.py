@@ -6,7 +6,7 @@ from math import radians
 from typing import Any
 
 from perilune.models import Body, Ignition, Site, Steering, Vehicle, powered_descent
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 # Peng et al. 2012 (25)-(27) as decoded; mu is not printed, and the printed fuel needs g0 = 9.80.
 PENG_MOON = Body(name="moon", gravitational_parameter=4902.8e9, radius=1738e3, rotation_rate=2.6617e-6)

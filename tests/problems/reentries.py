@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import perilune as pl
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Variable
 from problems.answered import Answered
 
 FOOT, SLUG = 0.3048, 14.593902937206

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 import perilune as pl
-from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Solution, Variable
 from problems.by_hand import Formula, Piece, by_hand, parted, polynomial
 from problems.constrained import bryson_denham, parked
 

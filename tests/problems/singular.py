@@ -8,7 +8,7 @@ from functools import lru_cache
 from numpy.polynomial import Polynomial
 
 import perilune as pl
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Variable
 from problems.answered import Answered
 from problems.goddard import goddard
 

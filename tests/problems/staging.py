@@ -7,9 +7,7 @@ import math
 from perilune.core import Scales
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import FreeParameter, Parameter, Phase, Problem, Variable
 from problems.answered import Answered
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import perilune as pl
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Variable
 
 LATE = 1.0  # m^2/s^4: what a second in the air is worth
 

@@ -15,14 +15,20 @@ from perilune.core import Outcome, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models import Retro
 from perilune.models.landing.problem import mass_consistency_checks
-from perilune.problem.controls import ScalarControl, UnitVectorControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import FreeParameter, Parameter, Variable
-from perilune.problem.verification import Verification
+from perilune.problem import (
+    Conditions,
+    Curve,
+    FreeParameter,
+    Parameter,
+    Phase,
+    Problem,
+    ScalarControl,
+    Solution,
+    Trajectory,
+    UnitVectorControl,
+    Variable,
+    Verification,
+)
 from perilune.proof.sufficient.sensitivities import check_neighbours
 from perilune.verify import verify
 from problems.constrained import mars_glide_slope

@@ -16,14 +16,21 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import fsolve
 
 from perilune.core import Outcome
-from perilune.problem.controls import ScalarControl, UnitVectorControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import FreeParameter, Parameter, Variable
-from perilune.problem.verification import Check, Verification
+from perilune.problem import (
+    Check,
+    Conditions,
+    Curve,
+    FreeParameter,
+    Parameter,
+    Phase,
+    Problem,
+    ScalarControl,
+    Solution,
+    Trajectory,
+    UnitVectorControl,
+    Variable,
+    Verification,
+)
 from perilune.verify import verify
 
 

@@ -11,11 +11,7 @@ from perilune.core import Outcome, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.refinement.structure_search import StructureRefinement
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
-from perilune.problem.verification import Check, Verification
+from perilune.problem import Check, Curve, Nature, Problem, Solution, Verification
 from perilune.proof.cross_check import check_agreement
 from perilune.solve import solve
 from perilune.verify import verify

@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 
 from perilune.core import Outcome
-from perilune.problem.controls import ScalarControl
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Curve, Parameter, Phase, Problem, ScalarControl, Solution, Trajectory, Variable
 from perilune.proof.sufficient import second_variation as variations
 from perilune.solve import solve
 from perilune.verify import verify

@@ -12,8 +12,7 @@ import pytest
 
 import perilune as pl
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.perturbed import fix_free_parameters
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, fix_free_parameters
 from perilune.proof.feasible.phase_data import PhaseData
 from problems.ascents import lunar_ascent
 from problems.landings import meditch, ordinary

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, Solution
 from perilune.proof.cross_check import check_agreement
 from perilune.proof.necessary.contact_points import restate_with_contacts
 from perilune.proof.sufficient.boundary_arcs import BoundaryArcs

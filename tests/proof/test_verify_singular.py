@@ -10,10 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 import perilune as pl
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
-from perilune.problem.variables import Parameter, Variable
-from perilune.problem.verification import Check, Verification
+from perilune.problem import Check, Curve, Parameter, Solution, Variable, Verification
 from problems.goddard import goddard
 from problems.singular import aly, nearest_to_zero, swinging
 

@@ -13,9 +13,7 @@ import pytest
 
 import perilune as pl
 from perilune.core import Physics
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Curve, Parameter, Solution, Variable
 
 DRIFTS = [1e-6, 1e-9, 1e-12, 1e-13, 1e-15, 1e-17, -1e-13]
 GIVEN = {

@@ -12,14 +12,20 @@ import pytest
 from perilune.core import Outcome
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.precision.problem import Corridor
-from perilune.problem.controls import ScalarControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import FreeParameter, Parameter, Variable
-from perilune.problem.verification import Check, Verification
+from perilune.problem import (
+    Check,
+    Conditions,
+    Curve,
+    FreeParameter,
+    Parameter,
+    Phase,
+    Problem,
+    ScalarControl,
+    Solution,
+    Trajectory,
+    Variable,
+    Verification,
+)
 from perilune.solve import solve
 from perilune.verify import verify
 from problems.integrators import CEILING, least_energy, least_time

@@ -14,13 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from perilune.core import Outcome
 from perilune.models.precision.problem import Corridor
-from perilune.problem.controls import ScalarControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Conditions, Curve, Parameter, Phase, Problem, ScalarControl, Solution, Trajectory, Variable
 from perilune.proof.feasible.deviations import state_deviation
 from perilune.proof.feasible.feasibility import STATE_LIMIT
 from perilune.proof.feasible.phase_data import PhaseData

@@ -17,7 +17,7 @@ from perilune.cli import run_command_line
 from perilune.core import Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.report import contour_map as contours
 from perilune.report.contour_map import OVER_WEIGHT, family_map, map_names, require_map
 from perilune.report.family import write_family

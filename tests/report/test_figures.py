@@ -15,7 +15,7 @@ from perilune.core import Outcome
 from perilune.families.family import Family, FamilyPoint
 from perilune.io import Column
 from perilune.io.save import trajectory_csv
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.report.family import family_csv, family_document
 from perilune.report.figures import label, save_figure, solution_figures
 from perilune.report.time_histories import _costate_symbol

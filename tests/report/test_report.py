@@ -27,10 +27,7 @@ from perilune.io import (
 from perilune.io.load import hash_of, load
 from perilune.io.save import save, trajectory_csv
 from perilune.models import Retro
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Solution, Statistics
-from perilune.problem.verification import Check, Verification
+from perilune.problem import Check, Extremal, Nature, Problem, Solution, Statistics, Verification
 from perilune.report import write_all
 from perilune.report.summary import markdown_table, solution_markdown, solution_summary
 

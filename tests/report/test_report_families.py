@@ -14,8 +14,7 @@ import pytest
 
 from perilune.core import NotConvergedError, Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint, failed_point
-from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Solution
+from perilune.problem import Extremal, Nature, Solution
 from perilune.report.family import family_csv, family_document, family_figure, write_family
 from perilune_papers.cho2015.case import PRINTED
 from perilune_papers.cho2015.compute import best_with_retro_burn, cho_numbers, compute_cho, gain_of_retro_burn

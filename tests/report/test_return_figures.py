@@ -13,7 +13,7 @@ import pytest
 import perilune as pl
 from perilune.core import PeriluneError
 from perilune.models.deorbit.outputs import return_views
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.ground import coastline, track_on_map
 from perilune.report.hamiltonian_figure import optimality_figure

@@ -13,7 +13,7 @@ from typing import Any, cast
 import pytest
 
 import perilune as pl
-from perilune.problem.verification import Check, Verification
+from perilune.problem import Check, Verification
 from problems.integrators import least_time
 from problems.landings import meditch
 from problems.singular import nearest_to_zero

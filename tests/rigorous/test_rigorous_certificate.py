@@ -19,8 +19,7 @@ pytest.importorskip("flint")
 from flint import arb, arb_series, ctx
 
 import prover_checks
-from perilune.problem.variables import Parameter, Variable
-from perilune.problem.verification import Verification
+from perilune.problem import Parameter, Variable, Verification
 from perilune.rigorous.verified import add_theorem_checks
 from perilune_checker.check import checked_sentence, confirm
 from perilune_checker.equations import CertifiedEquations

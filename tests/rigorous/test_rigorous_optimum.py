@@ -16,7 +16,7 @@ import perilune as pl
 pytest.importorskip("flint")
 from flint import arb, ctx
 
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import Parameter, Variable
 from perilune_checker.check import checked_sentence, confirm
 from perilune_checker.expressions import Failed
 from prover_checks import room, settings

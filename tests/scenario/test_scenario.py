@@ -14,8 +14,7 @@ from hypothesis import given, settings, strategies as st
 
 from perilune.core import InfeasibleError, PeriluneError
 from perilune.models import MOON
-from perilune.problem.presolve import is_possible, preflight, refuse_impossible
-from perilune.problem.variables import Parameter
+from perilune.problem import Parameter, is_possible, preflight, refuse_impossible
 from perilune.scenario import KINDS, load_file, load_text, quantities_of, template, values_of
 from perilune.scenario.reader import names_of
 from perilune.scenario.reference import reference

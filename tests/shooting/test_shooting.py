@@ -22,8 +22,7 @@ from perilune.methods.indirect.continuation.parameter_scan import (
     same_vector,
 )
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.shooting import plan as planning
 from perilune.shooting.continuation import Member
 from perilune.shooting.integrate_plan import Code, FewLanes, PlanIntegrator, fleet

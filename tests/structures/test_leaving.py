@@ -15,8 +15,7 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.methods.indirect.search import Search
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, Solution
 from perilune.structures import Arc, Condition, Structure, conditions_of
 from perilune.structures.multiphase import restate
 from perilune.structures.multiplier_signs import paying_intervals

@@ -14,8 +14,8 @@ import pytest
 import perilune as pl
 from perilune.core import PeriluneError
 from perilune.io import solution_document
+from perilune.problem import Solution
 from perilune.problem.results.arc_sequence import format_arcs
-from perilune.problem.results.solution import Solution
 from perilune.structures import Arc, Structure
 from perilune.structures.detect_arcs import detect_structures
 from perilune.structures.detect_regimes import Stay

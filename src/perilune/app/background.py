@@ -14,7 +14,7 @@ from perilune import Extremal, Nature, Outcome, Problem, Solution, Verification,
 from perilune.app.answers import cost_along_free_parameter
 from perilune.app.messages import proof_message
 from perilune.core import Watch
-from perilune.problem.display.quantity_names import objective_text
+from perilune.problem import objective_text
 
 LEVEL = 3
 _SAME = 1e-7  # of J: far above what Newton's method leaves, far below what anybody would change a flight for

@@ -13,7 +13,7 @@ from perilune import InfeasibleError, PeriluneError, Solution, Verification
 from perilune.app.source import Subject
 from perilune.core import CANNOT_BE_FLOWN, Matrix, Vector
 from perilune.io import display_times, extremals_document, finite, phase_columns, results_document
-from perilune.problem.results.solution import full
+from perilune.problem import full
 from perilune.report import plane_of_flight
 
 POINTS = 96  # of a flight, shared among its phases by their durations

@@ -11,7 +11,7 @@ from perilune import PeriluneError, Problem, preflight
 from perilune.atlas import Atlas
 from perilune.core import Quantity, Vector
 from perilune.models import KINDS, key_of
-from perilune.problem.presolve import is_possible
+from perilune.problem import is_possible
 
 _WIDE, _TURN = 0.25, math.radians(10.0)  # of a value to either side; of an angle at most
 _FURTHER = 12.0  # times as far, where nothing near by can be flown

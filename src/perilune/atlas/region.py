@@ -24,7 +24,7 @@ from perilune.core import (
     wrong_type_error,
 )
 from perilune.models import key_of
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 MOST_AXES = 4
 _MOST_BRICKS = 10**6

@@ -15,9 +15,7 @@ from typing import Any
 from perilune.conditions import Held, attainable_conditions, derive
 from perilune.core import PeriluneError
 from perilune.methods import Curves
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Extremal
-from perilune.problem.results.solution import Solution
+from perilune.problem import Extremal, Problem, Solution
 from perilune.structures import Arc, JoinedTrajectories, Structure, conditions_of, restate, with_bound_regimes
 
 _MOST_ORDER = 2  # of a condition whose multiplier is known along its boundary arc (`perilune.charts.multiplier_signs`)

@@ -19,7 +19,7 @@ from perilune.charts.sheet import Sheet
 from perilune.core import NUMERIC, Matrix, PeriluneError, Vector
 from perilune.kernels import Map, compile_map
 from perilune.methods import SIGNED
-from perilune.problem.casadi_trace import SYMBOLIC, free_scales
+from perilune.problem import SYMBOLIC, free_scales
 from perilune.shooting import ActiveSetBounds
 
 Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held

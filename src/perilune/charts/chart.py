@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from perilune.charts.arc_sequence import PLAIN, ArcSequence
 from perilune.conditions import OptimalityConditions, derive, extremal_parameters
 from perilune.core import Matrix, Vector
-from perilune.problem.parametric import parametric_problem, sizes_of
-from perilune.problem.problem import Problem
+from perilune.problem import Problem, parametric_problem, sizes_of
 from perilune.shooting import FINEST, Roots, Shooting
 
 

@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 
 from perilune.core import Matrix
 from perilune.kernels import compile_map
-from perilune.problem.casadi_trace import SYMBOLIC
-from perilune.problem.presolve import between_bounds, is_possible, preflight
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.tape import Expression, Recorder
+from perilune.problem import SYMBOLIC, Expression, Problem, Recorder, between_bounds, is_possible, preflight
 
 Allowed = Callable[[Matrix], NDArray[np.bool_]]
 

@@ -21,10 +21,18 @@ from perilune.charts import midpoint_march as singular
 from perilune.charts.bound_status import SLACK, conjunction
 from perilune.charts.multiplier_signs import NOTHING, ChartBoundaryArcs
 from perilune.conditions import OptimalityConditions, PhaseExtremal, hamiltonian_at, limit_symbols
-from perilune.problem.casadi_trace import SYMBOLIC, column, elements, trace_parameters
-from perilune.problem.controls import ScalarControl, Settled, control_slices, scalars
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
+from perilune.problem import (
+    SYMBOLIC,
+    Phase,
+    Problem,
+    ScalarControl,
+    Settled,
+    column,
+    control_slices,
+    elements,
+    scalars,
+    trace_parameters,
+)
 from perilune.shooting import settling_equations
 
 FAR = 1e30  # stands for infinity: nothing was looked at yet

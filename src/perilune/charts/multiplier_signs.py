@@ -25,17 +25,17 @@ import numpy as np
 
 from perilune.charts.chart import Chart
 from perilune.conditions import OptimalityConditions, PhaseExtremal, minimising_control_at, select_by_mode
-from perilune.problem.casadi_trace import (
+from perilune.problem import (
     SYMBOLIC,
+    Expression,
     Parameters,
+    Problem,
     Unnumbered,
     column,
     elements,
     trace_at_end,
     trace_parameters,
 )
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.tape import Expression
 from perilune.structures import Condition, conditions_of, part_name
 
 NOTHING = 1e-7  # of 1 + |eta|: a multiplier so little below zero is rounding

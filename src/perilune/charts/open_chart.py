@@ -15,9 +15,7 @@ from perilune.charts.reintegrate import ChartReintegration
 from perilune.charts.sheet import Sheet
 from perilune.core import Matrix, Vector
 from perilune.methods import ExtremalRoot, Indirect, compose_solution
-from perilune.problem.casadi_trace import free_scales
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, Statistics
+from perilune.problem import Problem, Solution, Statistics, free_scales
 from perilune.shooting import Root
 from perilune.structures import join_solution, margins, renumber_restated
 

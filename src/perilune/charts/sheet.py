@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 
 
 @dataclass(frozen=True, kw_only=True)

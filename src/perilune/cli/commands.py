@@ -137,7 +137,7 @@ def _run_sweep_command(typed: Namespace) -> CommandAnswer:
 
 def _run_check_command(typed: Namespace) -> CommandAnswer:
     from perilune import preflight
-    from perilune.problem.presolve import refuse_impossible
+    from perilune.problem import refuse_impossible
     from perilune.scenario import load_file
 
     with progress(False, deque(maxlen=1)) as watch:

@@ -16,8 +16,7 @@ import numpy as np
 
 from perilune.conditions.scalar_regimes import pivots
 from perilune.core import PeriluneError
-from perilune.problem.controls import Regime, Settled, directions, scalars
-from perilune.problem.phase import Phase
+from perilune.problem import Phase, Regime, Settled, directions, scalars
 
 Held = tuple[str, ...]  # conditions of the path by name
 

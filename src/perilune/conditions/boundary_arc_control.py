@@ -19,9 +19,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.active_constraints import real_root, unit_share
-from perilune.problem.casadi_trace import elements
-from perilune.problem.controls import directions, scalars
-from perilune.problem.phase import Phase
+from perilune.problem import Phase, directions, elements, scalars
 
 
 def boundary_arc_control(

@@ -22,15 +22,18 @@ from perilune.conditions.mode_equations import ModeEquations, mode_equations, ph
 from perilune.conditions.mode_events import events_between_modes, number_of_mode, select_by_mode
 from perilune.core import Vector
 from perilune.kernels import Event
-from perilune.problem.casadi_trace import (
+from perilune.problem import (
     Parameters,
+    Phase,
+    Problem,
+    Regime,
+    ScalarControl,
     canonical_given,
+    scalars,
+    start_offsets,
     state_scales,
+    without_start_offsets,
 )
-from perilune.problem.controls import Regime, ScalarControl, scalars
-from perilune.problem.perturbed import start_offsets, without_start_offsets
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -43,9 +43,7 @@ from perilune.conditions.scalar_regimes import (
 from perilune.conditions.singular_control import Motion, singular_control
 from perilune.conditions.switching_events import Mode, ModeSwitches, SwitchingEvent
 from perilune.conditions.unit_vector_control import minimising_directions
-from perilune.problem.casadi_trace import elements
-from perilune.problem.controls import Regime, scalars
-from perilune.problem.phase import Phase
+from perilune.problem import Phase, Regime, elements, scalars
 
 _ROUNDED = 1e-12  # of the amounts of its terms: by less H in one mode is no less than in another
 _UNKNOWN_TERMS = Terms(size=ca.SX(0.0), positive=ca.SX(0, 1))

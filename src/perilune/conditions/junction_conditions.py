@@ -25,10 +25,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.canonical_equations import PhaseExtremal, minimising_control_at
-from perilune.problem.casadi_trace import SYMBOLIC, Parameters, column, elements
-from perilune.problem.controls import control_slices
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
+from perilune.problem import SYMBOLIC, Parameters, Phase, Problem, column, control_slices, elements
 
 
 def smooth_junction_rows(

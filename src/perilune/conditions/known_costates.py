@@ -10,8 +10,7 @@ from __future__ import annotations
 import casadi as ca
 
 from perilune.conditions.scalar_regimes import Terms
-from perilune.problem.casadi_trace import Kinked
-from perilune.problem.phase import Phase
+from perilune.problem import Kinked, Phase
 
 
 def weighing_costates(phase: Phase, dynamics: Kinked, u: ca.SX, lam: ca.SX, unpriced: frozenset[str]) -> ca.SX:

@@ -18,9 +18,7 @@ from perilune.conditions.control_law import ControlLaw, minimising_control
 from perilune.conditions.scalar_regimes import Terms
 from perilune.conditions.singular_control import Motion
 from perilune.core import PeriluneError
-from perilune.problem.casadi_trace import SYMBOLIC, Kinked, Parameters, column, elements, trace_sides
-from perilune.problem.controls import Regime
-from perilune.problem.phase import Phase
+from perilune.problem import SYMBOLIC, Kinked, Parameters, Phase, Regime, column, elements, trace_sides
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

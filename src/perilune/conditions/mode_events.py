@@ -13,7 +13,7 @@ import casadi as ca
 
 from perilune.conditions.control_law import ControlLaw
 from perilune.kernels import Event
-from perilune.problem.casadi_trace import Kinked
+from perilune.problem import Kinked
 
 _REFRACTIONS = 7  # steps of Newton's method for the costate behind a surface; a step too many changes nothing
 

@@ -31,18 +31,19 @@ from perilune.conditions.active_constraints import Held, attainable_as_equality
 from perilune.conditions.canonical_equations import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
 from perilune.conditions.junction_conditions import contact_point_rows, smooth_junction_rows
 from perilune.core import Watch, ignore_events, quotient_unit
-from perilune.problem.casadi_trace import (
+from perilune.problem import (
     SYMBOLIC,
     Parameters,
+    Problem,
     Unnumbered,
     column,
+    cost_states,
     elements,
     trace_at_end,
     trace_parameters,
+    unpriced_states,
+    without_start_offsets,
 )
-from perilune.problem.perturbed import without_start_offsets
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.costate_signs import cost_states, unpriced_states
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

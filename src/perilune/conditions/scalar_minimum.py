@@ -18,8 +18,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.scalar_regimes import Scalar, least_squares_multipliers, no_control_law_error, pivots
-from perilune.problem.casadi_trace import elements
-from perilune.problem.phase import Phase
+from perilune.problem import Phase, elements
 
 # Newton's method starts at the least of so many values of H, for one and for two controls at once.
 _GRID = {1: 17, 2: 9}

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.core import PeriluneError
-from perilune.problem.controls import Regime, ScalarControl, Settled, scalars
-from perilune.problem.phase import Phase
+from perilune.problem import Phase, Regime, ScalarControl, Settled, scalars
 
 _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
 _CONVEX_AT = 401  # values at which a known curvature is evaluated

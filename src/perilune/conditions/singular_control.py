@@ -24,7 +24,7 @@ import numpy as np
 
 from perilune.conditions.active_constraints import Held
 from perilune.core import PeriluneError
-from perilune.problem.controls import Regime
+from perilune.problem import Regime
 
 MOST = 4  # derivatives that are looked at: arcs of order 1 and 2
 _POINTS, _DRAWS, _ZERO = 3, 30, 1e-9  # at which a coefficient is looked at; drawn for these; of its terms

@@ -22,8 +22,7 @@ import casadi as ca
 
 from perilune.conditions.active_constraints import Held, depends_on_direction
 from perilune.conditions.scalar_regimes import FREE, INSIDE, Bend, Scalar, least_squares_multipliers
-from perilune.problem.controls import Regime
-from perilune.problem.phase import Phase
+from perilune.problem import Phase, Regime
 
 Named = tuple[Held, tuple[Regime, ...]]  # of a mode
 

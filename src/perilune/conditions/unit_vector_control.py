@@ -12,9 +12,7 @@ import numpy as np
 
 from perilune.conditions.active_constraints import minimising_direction
 from perilune.conditions.scalar_regimes import no_control_law_error
-from perilune.problem.casadi_trace import elements
-from perilune.problem.controls import directions, scalars
-from perilune.problem.phase import Phase
+from perilune.problem import Phase, directions, elements, scalars
 
 _FROM_ABOVE = (0.3, 0.8)  # values of a scalar between its bounds, to test whether it only scales
 _ALL_ROUND = (-0.9, 0.3, 0.8)  # the same of a component of a direction

@@ -22,19 +22,19 @@ import casadi as ca
 import numpy as np
 
 from perilune.core import Vector
-from perilune.problem.casadi_trace import (
+from perilune.problem import (
     SYMBOLIC,
     Parameters,
+    Phase,
+    Problem,
     Unnumbered,
     column,
+    directions,
     elements,
     trace_at_end,
     trace_parameters,
     trace_rates,
 )
-from perilune.problem.controls import directions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

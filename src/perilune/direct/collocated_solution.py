@@ -21,12 +21,17 @@ from perilune.core import Matrix, Vector
 from perilune.direct.collocation import Polynomial, Rule
 from perilune.direct.layout import PhaseValues
 from perilune.direct.nlp import ProgramSolution, TranscribedProgram
-from perilune.problem.casadi_trace import state_scales
-from perilune.problem.controls import admissible, admissible_rates, control_scales
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.hermite_nodes import hermite_nodes
-from perilune.problem.results.trajectory import Curve, Trajectory
+from perilune.problem import (
+    Curve,
+    Phase,
+    Problem,
+    Trajectory,
+    admissible,
+    admissible_rates,
+    control_scales,
+    hermite_nodes,
+    state_scales,
+)
 
 # Curves are never asked for more than this, canonical: rounding of the polynomials is near.
 FINEST = 1e-11

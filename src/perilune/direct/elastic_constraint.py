@@ -19,11 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from perilune.problem.controls import scalars
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import Conditions, FreeParameter, Parameter, Phase, Problem, Variable, scalars
 
 _SLACK = "relaxation"
 _STATED = "relaxed_bound"  # a given parameter, as a number in the text of a condition has no unit and is not scaled

@@ -17,20 +17,21 @@ import numpy as np
 
 from perilune.core import NUMERIC, Matrix, PeriluneError, Vector
 from perilune.direct.collocated_solution import Sampler
-from perilune.problem.casadi_trace import (
+from perilune.problem import (
+    Phase,
+    Problem,
+    Solution,
+    Trajectory,
     Unnumbered,
     canonical_free,
     canonical_given,
+    control_scales,
+    control_slices,
+    fitting_guess,
     state_scales,
     trace_parameters,
     trace_rates,
 )
-from perilune.problem.controls import control_scales, control_slices
-from perilune.problem.initial_guess import fitting_guess
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Trajectory
 
 # First durations tried without an initial guess, as multiples of the typical ones.
 STRETCHES = (1.0, 1.6, 0.6, 2.8)

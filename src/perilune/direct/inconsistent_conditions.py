@@ -15,18 +15,20 @@ import numpy as np
 
 from perilune.core import InfeasibleError, PeriluneError, Vector, format_quantity
 from perilune.direct.nlp import ProgramSolution, TranscribedProgram
-from perilune.problem.casadi_trace import (
+from perilune.problem import (
+    Problem,
     Unnumbered,
+    Variable,
+    at_start,
+    between_bounds,
     canonical_given,
+    refuse_impossible,
+    scalars,
     state_scales,
+    stating_keys,
     trace_at_end,
     trace_parameters,
 )
-from perilune.problem.controls import scalars
-from perilune.problem.display.quantity_names import stating_keys
-from perilune.problem.presolve import at_start, between_bounds, refuse_impossible
-from perilune.problem.problem import Problem
-from perilune.problem.variables import Variable
 
 # A bound is broken when it is exceeded by more than this part of the canonical unit; rounding stays far
 # below.

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 from perilune.core import Vector
 from perilune.direct.collocation import Mesh
 from perilune.direct.transcription import Run
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 if TYPE_CHECKING:
     from perilune.direct.collocated_solution import Sampler

@@ -11,8 +11,7 @@ import numpy as np
 
 from perilune.core import Matrix, Vector
 from perilune.direct.collocation import Mesh, Rule, Scheme, rule
-from perilune.problem.controls import directions
-from perilune.problem.phase import Phase
+from perilune.problem import Phase, directions
 
 
 class Layout(NamedTuple):

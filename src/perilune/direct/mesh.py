@@ -20,8 +20,7 @@ import numpy as np
 from perilune.core import Matrix, Vector
 from perilune.direct.collocated_solution import Segment
 from perilune.direct.collocation import Mesh
-from perilune.problem.controls import scalars
-from perilune.problem.phase import Phase
+from perilune.problem import Phase, scalars
 
 HIGHEST_DEGREE = 40
 LOWEST_DEGREE = 5

@@ -26,11 +26,7 @@ import numpy as np
 from perilune.core import Matrix, Vector
 from perilune.direct.collocated_solution import Segment
 from perilune.direct.collocation import Rule, rule
-from perilune.problem.casadi_trace import state_scales
-from perilune.problem.controls import admissible
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import full
+from perilune.problem import Phase, Problem, admissible, full, state_scales
 
 # Most iterations of Picard's; the k-th adds (L h)^k/k! of the error, L the Lipschitz constant and h the length.
 PICARD = 40

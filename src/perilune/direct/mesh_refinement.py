@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, NoReturn
 from perilune.core import Iteration, NotConvergedError
 from perilune.direct.initialization import FirstMesh
 from perilune.direct.transcription import Look, Run
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 
 if TYPE_CHECKING:
     from perilune.direct.nlp import ProgramSolution, TranscribedProgram

@@ -42,10 +42,7 @@ from perilune.direct.layout import (
     unit_lengths,
     unpacked,
 )
-from perilune.problem.casadi_trace import Unnumbered, canonical_given, free_scales, state_scales
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import Variable
+from perilune.problem import Phase, Problem, Unnumbered, Variable, canonical_given, free_scales, state_scales
 
 # State values up to which the dense search of our own is quicker than IPOPT, and iterations after which it is given up.
 MODERATE, PATIENCE = 160, 50

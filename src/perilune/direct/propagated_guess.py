@@ -16,9 +16,7 @@ from scipy.integrate import solve_ivp
 from perilune.core import Matrix, Vector
 from perilune.direct.collocated_solution import Sampler
 from perilune.direct.first_guess import first_guesses, phase_start
-from perilune.problem.casadi_trace import free_scales, state_scales
-from perilune.problem.controls import admissible
-from perilune.problem.problem import Problem
+from perilune.problem import Problem, admissible, free_scales, state_scales
 
 FAITHFUL = 1e-5  # relative accuracy of a flight that only has to look like one
 LOOKS = 400  # points of a phase at which its swings are counted

@@ -22,8 +22,7 @@ from perilune.core import (
     wrong_type_error,
 )
 from perilune.direct.collocation import Mesh, Scheme, rule
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, Statistics
+from perilune.problem import Problem, Solution, Statistics
 
 if TYPE_CHECKING:
     from perilune.direct.collocated_solution import Segment

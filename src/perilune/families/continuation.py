@@ -11,8 +11,7 @@ from dataclasses import replace
 
 from perilune.core import Vector, Watch
 from perilune.methods import Indirect, Search
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.shooting import ActiveSetBounds, Member, Root, follow_family
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from perilune.core import Vector
 from perilune.families.family import Family
 from perilune.io import FlightColumn, cf_unit, display_unit, missing_package
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 if TYPE_CHECKING:
     import pandas

@@ -19,8 +19,7 @@ from perilune.core import (
     unknown_name,
     wrong_type_error,
 )
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 
 if TYPE_CHECKING:
     import pandas

@@ -17,12 +17,17 @@ from perilune.families.continuation import Continuation
 from perilune.families.executors import Call, Submits, run_calls
 from perilune.families.family import FamilyPoint, failed_point
 from perilune.methods import Indirect, Method
-from perilune.problem.display.quantity_names import free_name
-from perilune.problem.presolve import Finding, preflight, refuse_impossible, select_findings
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.tolerance import Tolerance
-from perilune.problem.verification import Verification
+from perilune.problem import (
+    Finding,
+    Problem,
+    Solution,
+    Tolerance,
+    Verification,
+    free_name,
+    preflight,
+    refuse_impossible,
+    select_findings,
+)
 from perilune.solve import ended_in_time, solve
 from perilune.verify import check_solution, verify, with_verification
 

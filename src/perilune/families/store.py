@@ -40,10 +40,7 @@ from perilune.io import (
     short_text,
     tree,
 )
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Trajectory
-from perilune.problem.verification import Verification
+from perilune.problem import Problem, Solution, Trajectory, Verification
 
 if TYPE_CHECKING:
     from perilune.families.members import Members

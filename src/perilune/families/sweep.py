@@ -20,9 +20,7 @@ from perilune.families.family import Family, FamilyPoint, Over, member_values
 from perilune.families.members import Members
 from perilune.families.store import FamilyStore
 from perilune.methods import Method
-from perilune.problem.problem import Problem
-from perilune.problem.tolerance import Tolerance
-from perilune.problem.verification import LEVELS
+from perilune.problem import LEVELS, Problem, Tolerance
 from perilune.solve import require_time_limit
 from perilune.verify import method_or_default, require_tolerance
 

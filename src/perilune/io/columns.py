@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import NUMERIC, Matrix, Vector
-from perilune.problem.results.solution import Solution, full
-from perilune.problem.results.trajectory import Trajectory
+from perilune.problem import Solution, Trajectory, full
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,16 +48,24 @@ from perilune.io.json_checks import (
     valued_numbers,
 )
 from perilune.io.problem_json import read_physics
-from perilune.problem.controls import directions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.arc_sequence import NamedArc
-from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Solution, Statistics
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.tolerance import Tolerance, unit_of
-from perilune.problem.variables import Parameter
-from perilune.problem.verification import LEVEL_NAMES, Verification, format_failed_checks
+from perilune.problem import (
+    LEVEL_NAMES,
+    Curve,
+    Extremal,
+    NamedArc,
+    Nature,
+    Parameter,
+    Phase,
+    Problem,
+    Solution,
+    Statistics,
+    Tolerance,
+    Trajectory,
+    Verification,
+    directions,
+    format_failed_checks,
+    unit_of,
+)
 
 MOST_NODES = 100_000
 _ROUNDING = 1e-12  # relative, between the numbers of a scenario and those beside it

@@ -13,8 +13,7 @@ from typing import Any
 from perilune.core import PeriluneError, Quantity, record_keys, record_of_values, record_values, section_of
 from perilune.io.json_checks import finite_number, part, refuse_entry, short_text
 from perilune.models import KINDS, Body, Section, kind_named, kind_names, recognise_body, unknown_kind
-from perilune.problem.problem import Problem
-from perilune.problem.variables import Parameter
+from perilune.problem import Parameter, Problem
 
 
 def model_document(problem: Problem) -> dict[str, Any] | None:

@@ -16,9 +16,7 @@ import numpy as np
 from perilune.core import PeriluneError
 from perilune.io.json_checks import MOST_ENTRIES, refuse_entry, short_text
 from perilune.io.tape_json import tape_of
-from perilune.problem.presolve import Finding, preflight
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.tape import Expression, NotAFormula, Recorder
+from perilune.problem import Expression, Finding, NotAFormula, Problem, Recorder, preflight
 
 _NUMBERS, _FLAGS = ("value", "limit"), ("at_least", "binding", "lasting", "contradiction")
 _UNSTATED = {"lasting": False, "contradiction": False}  # in files that are older than the flag

@@ -25,14 +25,23 @@ from perilune.io.json_checks import (
     short_text,
 )
 from perilune.io.tape_json import tape_of
-from perilune.problem.controls import ScalarControl, UnitVectorControl
-from perilune.problem.display.views import Views
-from perilune.problem.named_values import PAIRS, Quantities, named_variables
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.tape import Expression
-from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS, roles_of, written_key
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem import (
+    PAIRS,
+    PHASE_FUNCTIONS,
+    Expression,
+    FreeParameter,
+    Parameter,
+    Phase,
+    Problem,
+    Quantities,
+    ScalarControl,
+    UnitVectorControl,
+    Variable,
+    Views,
+    named_variables,
+    roles_of,
+    written_key,
+)
 
 _CONTROLS = {kind.kind: kind for kind in (UnitVectorControl, ScalarControl)}
 # In files, the row of the variables of each field of a phase; what came last is left out where it is empty.

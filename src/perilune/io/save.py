@@ -25,13 +25,19 @@ from perilune.io.atomic_files import finite, fresh_directory, json_text, refuse_
 from perilune.io.columns import per_unit, phase_columns, round_degrees
 from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.io.problem_json import physics_document
-from perilune.problem.controls import ScalarControl, UnitVectorControl
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, results_between
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.tolerance import unit_of
-from perilune.problem.verification import Check, Verification
+from perilune.problem import (
+    Check,
+    Curve,
+    Phase,
+    Problem,
+    ScalarControl,
+    Solution,
+    Trajectory,
+    UnitVectorControl,
+    Verification,
+    results_between,
+    unit_of,
+)
 
 INTERPOLATION = {
     "state": "cubic Hermite",

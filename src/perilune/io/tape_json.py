@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from perilune.core import PeriluneError, Table
-from perilune.problem.tracing.tape import ARITY, ROLES, Tape
+from perilune.problem import ARITY, ROLES, Tape
 
 MOST_INSTRUCTIONS, MOST_TABLES = 50_000, 100  # of one function in a file; the largest of the models has about 200
 

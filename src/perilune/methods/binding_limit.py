@@ -19,9 +19,7 @@ from scipy.optimize import brentq
 from perilune.core import NotConvergedError, PeriluneError, Vector, Watch, format_bound, format_quantity, ignore_events
 from perilune.direct import ElasticLimit, elastic_limits
 from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.problem.display.quantity_names import limit_name, only_in_path, parameter_key, quantity_name
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution, limit_name, only_in_path, parameter_key, quantity_name
 from perilune.structures import AT_END, with_budgets
 
 _MOST = 320  # iterations of all limits together, of a problem of one phase; no seconds, so that it says the same again

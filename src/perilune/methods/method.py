@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from perilune.core import Watch
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 
 
 class Method(Protocol):

@@ -24,9 +24,7 @@ from perilune.methods.indirect.refinement.structure_search import StructureRefin
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.settings import STRUCTURE, SearchSettings
 from perilune.methods.indirect.violations import ConstraintViolation
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
-from perilune.problem.results.solution import Solution
+from perilune.problem import Nature, Problem, Solution
 from perilune.structures import detect_structures
 
 NEWTON = "Newton"  # ends the rung of an answer that was made exact in the user's own phases

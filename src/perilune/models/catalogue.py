@@ -21,7 +21,7 @@ from perilune.models.physics.bodies import BODIES, PLANETS, Body, OblateBody, Pl
 from perilune.models.physics.vehicle import Retro, Throttle, Vehicle
 from perilune.models.precision.final_descent import FinalDescent
 from perilune.models.precision.problem import Approach, Corridor, precision_landing
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 GROUP = "perilune.models"  # of entry points
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
 from perilune.core import Key, PeriluneError, record, record_keys, require_type, unknown_name
-from perilune.problem.problem import Problem
-from perilune.problem.tolerance import Tolerance
+from perilune.problem import Problem, Tolerance
 
 PROOF = "proof"  # the section that is no part of the problem
 

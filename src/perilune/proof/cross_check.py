@@ -23,13 +23,7 @@ import numpy as np
 
 from perilune.core import PeriluneError, quotient_unit, sign_of_life
 from perilune.methods import Method
-from perilune.problem.named_values import Conditions
-from perilune.problem.perturbed import fix_free_parameters
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import Check
+from perilune.problem import Check, Conditions, Extremal, Nature, Phase, Problem, Solution, fix_free_parameters
 from perilune.proof.feasible.feasibility import check_feasibility
 from perilune.proof.feasible.phase_data import PhaseData, objective_size
 from perilune.proof.feasible.repropagate import reintegrate

@@ -15,11 +15,7 @@ import numpy as np
 
 from perilune.core import PeriluneError, require_level, sign_of_life
 from perilune.methods import Method
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.tolerance import Tolerance
-from perilune.problem.tracing.traced_problem import OWN_TEXT
-from perilune.problem.verification import LEVELS, Check, Verification
+from perilune.problem import LEVELS, OWN_TEXT, Check, Problem, Solution, Tolerance, Verification
 from perilune.proof.cross_check import check_agreement
 from perilune.proof.feasible.feasibility import check_feasibility, check_tables
 from perilune.proof.feasible.phase_data import PhaseData

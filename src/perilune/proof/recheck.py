@@ -14,8 +14,7 @@ import numpy as np
 
 from perilune.core import PeriluneError
 from perilune.methods import Indirect
-from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Solution
+from perilune.problem import Extremal, Nature, Solution
 from perilune.proof.levels import examine
 from perilune.proof.sufficient.sensitivities import Resolve
 

@@ -11,9 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.problem.results.solution import Solution
-from perilune.problem.tolerance import LARGEST, SIZED, Tolerance, format_tolerance, quantity_in, unit_of
-from perilune.problem.verification import Check
+from perilune.problem import LARGEST, SIZED, Check, Solution, Tolerance, format_tolerance, quantity_in, unit_of
 
 
 def raise_limit(check: Check, tolerance: Tolerance) -> Check:

@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from perilune.core import Matrix, Vector, require_type, wrong_type_error
 from perilune.io import flight_columns, fresh_file, new_file
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.report.figures import label, write_doubts
 from perilune.report.profile_view import plane_of_flight
 from perilune.report.side_and_top_view import track_path

@@ -22,7 +22,7 @@ from matplotlib.tri import Triangulation
 
 from perilune.core import Matrix, Outcome, PeriluneError, Vector, parameter_name, unknown_name
 from perilune.families import Family, grid_of, member_quantities, result_fields
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.report.style import GREY, VERMILION, new_figure, styled
 from perilune.report.time_histories import LONG
 

@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 
 from perilune.core import Matrix
 from perilune.io import display_times, phase_columns
-from perilune.problem.display.views import Corridor
-from perilune.problem.results.solution import Solution
+from perilune.problem import Corridor, Solution
 from perilune.report.style import BLUE, GREEN, VERMILION, legend_above, new_figure, styled
 from perilune.report.time_histories import axis_text
 

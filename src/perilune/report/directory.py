@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from perilune.core import PeriluneError
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 REPORT_FILE = "report.md"
 

@@ -11,9 +11,7 @@ from matplotlib.figure import Figure
 
 from perilune.core import Outcome, one_line
 from perilune.io import phase_columns
-from perilune.problem.display.views import History
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import History, Problem, Solution
 from perilune.report.corridor import corridor_figure
 from perilune.report.ground import ground_track
 from perilune.report.hamiltonian_figure import optimality_figure

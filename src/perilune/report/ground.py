@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 
 from perilune.core import Matrix, Vector
 from perilune.io import display_times, phase_columns
-from perilune.problem.display.views import Ground
-from perilune.problem.results.solution import Solution
+from perilune.problem import Ground, Solution
 from perilune.report.style import BLUE, GREEN, GREY, PURPLE, VERMILION, legend_above, new_figure, styled
 
 WIDTH = 7.0  # inches

@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 
 from perilune.core import Vector
 from perilune.io import display_times, hamiltonian, hamiltonian_terms, per_unit, required_hamiltonian
-from perilune.problem.controls import directions
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution, directions
 from perilune.report.style import BLUE, GREEN, VERMILION, new_figure, styled, time_text
 
 

@@ -15,9 +15,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from perilune.core import format_quantity
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import Verification
+from perilune.problem import Problem, Solution, Verification
 from perilune.report.plot import plot
 from perilune.report.style import STYLE
 from perilune.report.summary import readable_result

@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from perilune.core import require_type, unknown_name, wrong_type_error
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.report.figures import solution_drawings
 
 _FIRST = ("path", "track", "ground_track")  # the way in space, where there is one

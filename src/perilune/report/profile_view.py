@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from perilune.core import Matrix, Vector
 from perilune.io import display_times
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.report.style import GREY, LOOKS, new_figure, styled
 
 WIDTH = 7.0  # inches: two columns, as the path is long and flat

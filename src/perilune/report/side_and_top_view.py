@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from perilune.core import Matrix, Vector
 from perilune.io import display_times
-from perilune.problem.results.solution import Solution, full
+from perilune.problem import Solution, full
 from perilune.report.style import FLAT, GREY, LOOKS, legend_above, new_figure, styled, widen_vertical_range
 
 

@@ -19,7 +19,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from perilune.io import DRAWN_BY
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 COLUMN_WIDTH = 3.4  # inches
 FLAT = 1e-3  # of the largest motion beside it: what moves by less is drawn as if it moved by so much

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from perilune.io import extremals_document
-from perilune.problem.results.solution import Result, Solution
-from perilune.problem.verification import LEVEL_NAMES, Verification
+from perilune.problem import LEVEL_NAMES, Result, Solution, Verification
 
 _DIGITS = {"kg": 6, "m/s": 4, "s": 4, "Pa": 1, "W/m^2": 1, "J/m^2": 1}
 

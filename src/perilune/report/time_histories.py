@@ -14,9 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.io import Column, flight_columns
-from perilune.problem.display.views import History
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import History, Problem, Solution
 from perilune.report.style import (
     BLUE,
     FLAT,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.rigorous.boundary_value_problem import ArcPiece, BoundaryProblem, Differentiated, Sides
 from perilune.rigorous.equations import ArcScalar, Key, ProblemReader
 from perilune.rigorous.exact_tape import Unsupported

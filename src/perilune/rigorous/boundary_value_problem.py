@@ -20,8 +20,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
+from perilune.problem import Phase, Problem
 from perilune.rigorous.equations import CanonicalArc, Key, Regimes
 from perilune.rigorous.graph import Graph, GraphExpression
 from perilune.rigorous.taylor import Ball, TaylorProgram

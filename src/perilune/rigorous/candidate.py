@@ -11,8 +11,7 @@ from itertools import pairwise
 import numpy as np
 from flint import arb
 
-from perilune.problem.controls import ScalarControl, scalars
-from perilune.problem.results.solution import Solution
+from perilune.problem import ScalarControl, Solution, scalars
 from perilune.proof import PhaseData, end_bound_multipliers
 from perilune.rigorous.boundary_value_problem import ArcPiece, BoundaryProblem, Sides
 from perilune.rigorous.exact_tape import Unsupported

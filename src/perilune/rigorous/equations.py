@@ -19,9 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from perilune.problem.controls import ScalarControl, Settled, UnitVectorControl, scalars
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
+from perilune.problem import Phase, Problem, ScalarControl, Settled, UnitVectorControl, scalars
 from perilune.rigorous.exact_tape import Unsupported, exact_value, read_tape
 from perilune.rigorous.graph import Graph, GraphExpression
 from perilune.rigorous.taylor import TaylorProgram

@@ -14,8 +14,7 @@ from typing import Any
 from flint import arb, fmpq
 
 from perilune.core import PeriluneError, exact_quantity, parse_quantity
-from perilune.problem.tracing.tape import ROLES, Expression as Taped
-from perilune.problem.variables import Parameter
+from perilune.problem import ROLES, Expression as Taped, Parameter
 from perilune.rigorous.graph import Graph, GraphExpression
 from perilune.rigorous.taylor import Ball
 

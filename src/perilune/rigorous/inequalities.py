@@ -14,7 +14,7 @@ from typing import Any
 
 from flint import arb
 
-from perilune.problem.controls import UnitVectorControl
+from perilune.problem import UnitVectorControl
 from perilune.rigorous.boundary_value_problem import BoundaryProblem
 from perilune.rigorous.enclosure_step import EnclosedStep
 from perilune.rigorous.equations import ArcScalar, CanonicalArc, Key

@@ -10,7 +10,7 @@ from typing import Any
 
 from flint import arb, ctx
 
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.rigorous.exact_tape import exact_value
 from perilune.rigorous.inequalities import Statement
 from perilune.rigorous.taylor import Ball

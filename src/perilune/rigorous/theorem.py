@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from flint import ctx
 
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.rigorous.boundary_equations import boundary_problem
 from perilune.rigorous.boundary_value_problem import BoundaryProblem
 from perilune.rigorous.candidate import sides_of, suggested_pieces, unknowns_of

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from perilune.core import Watch, ignore_events
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import THEOREM, Check, Verification
+from perilune.problem import THEOREM, Check, Solution, Verification
 from perilune.rigorous.statement import certificate_document, theorem_text, unproved_sentence
 from perilune.rigorous.theorem import Attempt, ProvedExtremal, attempt_proof
 

@@ -18,8 +18,7 @@ from typing import Any
 
 from perilune.core import Quantity, check_call, public_names, require_path, require_type
 from perilune.models import KINDS, kind_names
-from perilune.problem.problem import Problem
-from perilune.problem.tolerance import Tolerance
+from perilune.problem import Problem, Tolerance
 from perilune.scenario.ranges import bounds_of, values_of
 from perilune.scenario.reader import names_files, problem_of, quantities_in, tolerance_of
 from perilune.scenario.reference import template

@@ -17,8 +17,7 @@ from perilune.core import (
     with_key_named,
 )
 from perilune.models import HYBRID, KINDS, PROOF, Body, Kind, Section, kind_named, recognise_body
-from perilune.problem.problem import Problem
-from perilune.problem.tolerance import Tolerance
+from perilune.problem import Problem, Tolerance
 from perilune.scenario.plausible import refuse_slips
 
 KIND = TextField(example=HYBRID.name, choices=tuple(KINDS), about="the kind of problem that the file states")

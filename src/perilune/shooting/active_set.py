@@ -18,7 +18,7 @@ import numpy as np
 
 from perilune.conditions import OptimalityConditions
 from perilune.core import Matrix, Vector, Watch
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 from perilune.shooting.shooting_function import Roots, Shooting
 
 _SLACK = 1e-9  # by which a multiplier may be on the wrong side; canonical

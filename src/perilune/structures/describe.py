@@ -9,12 +9,7 @@ from itertools import groupby
 import numpy as np
 
 from perilune.core import Deferred, Vector
-from perilune.problem.controls import scalars
-from perilune.problem.phase import Phase
-from perilune.problem.results.arc_sequence import NamedArc
-from perilune.problem.results.solution import Solution
-from perilune.problem.tracing.lie_derivatives import depends_on_control
-from perilune.problem.variables import Variable
+from perilune.problem import NamedArc, Phase, Solution, Variable, depends_on_control, scalars
 from perilune.structures.detect_regimes import Stay, stays_of
 from perilune.structures.state_constraints import margins
 from perilune.structures.structure import Structure

@@ -16,8 +16,7 @@ from weakref import ref
 import numpy as np
 
 from perilune.core import Vector
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.structures.detect_regimes import (
     EXACT,
     LEVELS,

@@ -18,11 +18,15 @@ from itertools import pairwise
 import numpy as np
 
 from perilune.core import Vector
-from perilune.problem.controls import ScalarControl, Settled, scalars
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.tracing.costate_signs import priced_rates
-from perilune.problem.tracing.lie_derivatives import depends_linearly_on_control
+from perilune.problem import (
+    Problem,
+    ScalarControl,
+    Settled,
+    Solution,
+    depends_linearly_on_control,
+    priced_rates,
+    scalars,
+)
 from perilune.structures.structure import Regimes, Structure
 
 # Of the size of the gain: so small it is zero, on better and on worse meshes. Its size is what it reaches while the

@@ -23,18 +23,20 @@ from typing import Any
 import numpy as np
 
 from perilune.core import NUMERIC
-from perilune.problem.controls import Control
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.lie_derivatives import (
+from perilune.problem import (
+    ROLES,
+    Conditions,
+    Control,
+    Expression,
+    Phase,
+    Problem,
+    Recorder,
+    Variable,
     depends_linearly_on_control,
     depends_on_control,
     gather_expressions,
     total_derivative,
 )
-from perilune.problem.tracing.tape import ROLES, Expression, Recorder
-from perilune.problem.variables import Variable
 from perilune.structures.state_constraints import margins, plain_bounds
 
 AT_END = "_at_end"  # follows the name of a limit in that of the end condition that says the same

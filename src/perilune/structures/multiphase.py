@@ -20,14 +20,23 @@ from types import MappingProxyType
 from typing import Any
 
 from perilune.core import PeriluneError, format_value_range
-from perilune.problem.controls import Control, ScalarControl
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.lie_derivatives import MOST_ORDER, component, gather_expressions, run_expression
-from perilune.problem.tracing.tape import Expression, Recorder
-from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS, roles_of
-from perilune.problem.variables import FreeParameter, Variable
+from perilune.problem import (
+    MOST_ORDER,
+    PHASE_FUNCTIONS,
+    Conditions,
+    Control,
+    Expression,
+    FreeParameter,
+    Phase,
+    Problem,
+    Recorder,
+    ScalarControl,
+    Variable,
+    component,
+    gather_expressions,
+    roles_of,
+    run_expression,
+)
 from perilune.structures.detect_regimes import settle_scalar
 from perilune.structures.redundant_conditions import repeated_ends
 from perilune.structures.state_constraints import (

@@ -20,8 +20,7 @@ from numpy.polynomial import Chebyshev
 from numpy.polynomial.chebyshev import chebpts1
 
 from perilune.core import Matrix, Vector
-from perilune.problem.controls import ScalarControl, control_scales, control_slices, normalised, tangents
-from perilune.problem.results.solution import Solution, full
+from perilune.problem import ScalarControl, Solution, control_scales, control_slices, full, normalised, tangents
 from perilune.structures.detect_regimes import runs_by_kind
 from perilune.structures.state_constraints import Condition
 

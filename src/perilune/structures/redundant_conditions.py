@@ -14,9 +14,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import NUMERIC
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.lie_derivatives import component
-from perilune.problem.tracing.tape import Expression
+from perilune.problem import Expression, Problem, component
 from perilune.structures.state_constraints import Condition, plain_bounds
 from perilune.structures.structure import Arc
 

@@ -20,8 +20,7 @@ from itertools import pairwise
 import numpy as np
 
 from perilune.core import Matrix, Vector
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.structures.detect_arcs import CLOSEST, Contact, arcs_of
 from perilune.structures.detect_regimes import stays_of
 from perilune.structures.multiplier_signs import paying_intervals

@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.core import Vector
-from perilune.problem.controls import ScalarControl
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, ScalarControl, Solution
 from perilune.structures.detect_regimes import WRONG, Stay, gain_along, linear_scalars, runs_by_kind
 from perilune.structures.state_constraints import SIDES, conditions_of
 from perilune.structures.structure import PAIR, Arc, Structure

@@ -13,11 +13,7 @@ from itertools import islice
 import numpy as np
 
 from perilune.core import Deferred, Outcome, PeriluneError, Vector
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Extremal
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.verification import Verification
+from perilune.problem import Curve, Extremal, Problem, Solution, Trajectory, Verification
 from perilune.structures.describe import with_names
 from perilune.structures.multiphase import refuse_unstated_ends, restate
 from perilune.structures.structure import Structure, check_arc_structure, part_name

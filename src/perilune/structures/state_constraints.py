@@ -15,16 +15,18 @@ from types import MappingProxyType
 from typing import Any
 
 from perilune.core import quotient_unit, unknown_name
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.lie_derivatives import (
+from perilune.problem import (
+    Expression,
+    Parameter,
+    Phase,
+    Problem,
+    Recorder,
+    Variable,
     component,
     depends_on_control,
     derivatives_to_control,
     run_expression,
 )
-from perilune.problem.tracing.tape import Expression, Recorder
-from perilune.problem.variables import Parameter, Variable
 
 SIDES = ("lower", "upper")
 

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import NUMERIC, Matrix, Vector
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, full
-from perilune.problem.tracing.tape import Expression
-from perilune.problem.tracing.traced_problem import TracedProblem
+from perilune.problem import Expression, Problem, Solution, TracedProblem, full
 from perilune.structures.detect_regimes import runs_by_kind
 from perilune.structures.state_constraints import margins, plain_bounds
 

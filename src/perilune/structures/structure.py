@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import PeriluneError
-from perilune.problem.controls import scalars
-from perilune.problem.problem import Problem
+from perilune.problem import Problem, scalars
 from perilune.structures.state_constraints import conditions_of, margins, state_conditions
 
 Regimes = tuple[tuple[str, str], ...]  # scalar controls with "lower", "upper", "singular" or "held"

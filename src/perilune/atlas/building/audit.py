@@ -28,9 +28,7 @@ from perilune.atlas.store.store import PATIENCE, AtlasStore
 from perilune.charts import SLACK, Sheet
 from perilune.core import NotConvergedError, PeriluneError, Watch, ignore_events, wrong_type_error
 from perilune.families import Call, Submits, run_calls
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import Verification
+from perilune.problem import Problem, Solution, Verification
 from perilune.verify import verify
 
 Drawn = tuple[tuple[float, ...], Mapped]  # values of the axes [SI], and the answer there

@@ -40,7 +40,7 @@ from perilune.io import (
     stated_problem_document,
 )
 from perilune.methods import Indirect
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives
 _ROUNDS = 8  # of going on from blocks into their neighbours, at most

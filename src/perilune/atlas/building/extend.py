@@ -48,7 +48,7 @@ from perilune.core import (
 )
 from perilune.families import Submits
 from perilune.methods import Indirect
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 
 @renamed_keywords(watch="callback")

@@ -46,7 +46,7 @@ from perilune.core import (
     require_path,
 )
 from perilune.io import fresh_directory
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 _BY_HAND = ("axes", "versions", "format")  # of a header: compared otherwise, or not at all
 

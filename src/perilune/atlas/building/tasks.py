@@ -24,7 +24,7 @@ from perilune.atlas.store.store import AtlasStore
 from perilune.atlas.survey.neighbour_seeds import Key, Shards, seeds_for_neighbours
 from perilune.charts import ArcSequence, Borders, Chart, ChartReintegration, Sheet, arc_sequence_from
 from perilune.core import Matrix, Vector, Watch, ignore_events
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from perilune.atlas.hermite import binary_digits
 from perilune.atlas.store.cells import Cells, Status, Whole
 from perilune.charts import Borders, Chart, Extremals, Sheet
 from perilune.core import Matrix, Vector
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 
 _MOST = 32  # sheets that may go on where one crosses bounds, if they are more than one bound away
 

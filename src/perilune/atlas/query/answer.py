@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 
 @dataclass(frozen=True, kw_only=True)

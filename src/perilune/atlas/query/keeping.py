@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from perilune.charts import MOST, SLACK, Borders, Chart, Sheet
 from perilune.core import Matrix, Vector
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 
 _TURNS = 8  # times that bounds are taken and let go
 

@@ -34,10 +34,7 @@ from perilune.core import (
     unknown_name,
 )
 from perilune.methods import ExtremalRoot
-from perilune.problem.perturbed import with_given_unchecked
-from perilune.problem.presolve import preflight, refuse_impossible
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, Statistics
+from perilune.problem import Problem, Solution, Statistics, preflight, refuse_impossible, with_given_unchecked
 
 _NEAREST = 64  # nodes that are asked where there is an answer
 

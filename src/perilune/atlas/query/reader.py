@@ -30,7 +30,7 @@ from perilune.atlas.store.schema import (
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.charts import SLACK, Allowed, OpenChart, Sheet, point_feasibility
 from perilune.core import Matrix, PeriluneError, Vector, check_call, require_numbers, wrong_type_error
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 SERVING = (Status.ONE_STEP, Status.MORE_STEPS)
 _MOST_OPEN = 10_000  # blocks, each of two files that are mapped; systems allow 65530 maps

@@ -29,8 +29,7 @@ from perilune.core import (
     unknown_name,
 )
 from perilune.models import key_of
-from perilune.problem.presolve import preflight
-from perilune.problem.problem import Problem
+from perilune.problem import Problem, preflight
 
 POINTS = 101  # along each axis
 _MOST = 2000

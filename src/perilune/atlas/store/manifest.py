@@ -15,7 +15,7 @@ from typing import Any
 
 from perilune.core import PeriluneError
 from perilune.io import finite, tree
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 
 _CHECKSUM = "crc32"
 _LAST = f', "{_CHECKSUM}": '  # before its value, which ends the line

@@ -15,8 +15,7 @@ from perilune.atlas.store.store import HEADER, MANIFEST
 from perilune.charts import Chart, OpenChart, Sheet, arc_sequence_from
 from perilune.core import Vector
 from perilune.io import read_comparisons, read_problem
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature, Problem
 
 MOST_NOTES = 100
 RANGES = "ranges"  # key of a header whose problem has lost what its ranges follow from

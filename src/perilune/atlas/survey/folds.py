@@ -23,9 +23,7 @@ from perilune.atlas.store.schema import open_chart
 from perilune.charts import Borders, Chart, Sheet
 from perilune.core import Matrix, PeriluneError, Vector
 from perilune.methods import ExtremalRoot
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
-from perilune.problem.results.solution import Statistics
+from perilune.problem import Nature, Problem, Statistics
 from perilune.proof import check_local_optimality
 
 _FIRST, _LONGEST, _SHORTEST = 0.01, 0.1, 1e-6  # steps, in lengths of (y / (1 + |y|), s)

@@ -22,11 +22,7 @@ from perilune.atlas.survey.other_minima import HeldFamilies
 from perilune.charts import ArcSequence, Chart, OpenChart, arc_sequence_of, same_unknowns
 from perilune.core import Matrix, PeriluneError, Vector, Watch
 from perilune.methods import Indirect, Search
-from perilune.problem.display.quantity_names import free_name
-from perilune.problem.perturbed import narrow_free_parameters
-from perilune.problem.presolve import preflight, refuse_impossible
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Extremal
+from perilune.problem import Extremal, Problem, free_name, narrow_free_parameters, preflight, refuse_impossible
 from perilune.structures import margins
 
 _NONE = "no answer"  # where other points have the arcs of theirs

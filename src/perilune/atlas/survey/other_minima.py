@@ -24,7 +24,7 @@ from perilune.charts import (
 )
 from perilune.core import Matrix, Vector
 from perilune.methods import SIGNED
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 from perilune.structures import margins
 
 _STEPS = 8  # at least to where a way begins

@@ -47,8 +47,7 @@ from perilune.charts import (
 from perilune.conditions import attainable_conditions
 from perilune.core import Matrix, PeriluneError, Vector, Watch
 from perilune.methods import Indirect
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Extremal, Nature
+from perilune.problem import Extremal, Nature, Problem
 
 _MOST_SHEETS = 64  # of a chart, in addition to those on which answers of solves lie
 _AROUND = 4  # walks of a branch that are followed around the folds at which they ended

@@ -12,7 +12,7 @@ from perilune.atlas.grid.bound_crossing import continuing_sheets
 from perilune.atlas.store.schema import seed_type
 from perilune.charts import Borders, Chart, Sheet, same_unknowns
 from perilune.core import Matrix, Vector
-from perilune.problem.results.extremal import Nature
+from perilune.problem import Nature
 
 
 @dataclass(frozen=True, kw_only=True)

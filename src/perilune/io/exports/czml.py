@@ -21,7 +21,7 @@ from perilune.core import Matrix, Vector
 from perilune.io.atomic_files import json_text
 from perilune.io.exports.epochs import stamp
 from perilune.io.exports.inertial_path import JUMP, InertialLeg, legs, separate_jumps, space_of
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 NAME = "CZML"
 _LONGEST = 0.05  # of the way, the longest arrow of thrust

@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 
 from perilune.core import END, EXAMPLE, PeriluneError, instant
 from perilune.models import leap_seconds_within, utc_after
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 TICK = 1e-6  # s
 

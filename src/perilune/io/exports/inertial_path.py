@@ -11,8 +11,7 @@ import numpy as np
 
 from perilune.core import Matrix, PeriluneError, Vector
 from perilune.io.columns import times_around_switches
-from perilune.problem.display.views import Space
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution, Space
 
 LOST = 1e-3  # m, between two times
 JUMP = 1e-6  # s; what changes faster than in so short a time jumps

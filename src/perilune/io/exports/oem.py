@@ -20,7 +20,7 @@ from perilune.io.exports.epochs import TICK, leap_seconds_sentence, stamp_of_tic
 from perilune.io.exports.inertial_path import InertialLeg, legs, space_of
 from perilune.io.format import hash_of
 from perilune.models import axes_in_space, describe_orientation
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 _WIDTH = 200  # the standard allows 254 characters
 _NAMED = 80  # of them for the name of the object

@@ -12,7 +12,7 @@ from typing import Any
 from perilune.io.atomic_files import finite
 from perilune.io.load import claims_of
 from perilune.io.save import program_versions, results_document
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 
 def provenance(solution: Solution, scenario_text: str | None = None, document: Any = None) -> dict[str, str]:

@@ -17,8 +17,7 @@ import numpy as np
 from perilune.core import Vector
 from perilune.io.columns import Column, node_times, phase_columns
 from perilune.io.exports.inertial_path import separate_jumps
-from perilune.problem.display.views import Space
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution, Space
 
 _AXES = ("x", "y", "z")
 

@@ -13,7 +13,7 @@ from perilune.io.atomic_files import fresh_file, new_file
 from perilune.io.exports.epochs import flight_epoch, needed_epoch
 from perilune.io.exports.formats import ENDINGS, format_of
 from perilune.io.exports.provenance import provenance
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 
 if TYPE_CHECKING:
     import pandas

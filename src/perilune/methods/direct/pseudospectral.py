@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 from perilune.core import Watch, check_call, ignore_events, renamed_keywords
 from perilune.direct import MeshRefinement, Transcription
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 
 
 @check_call

@@ -33,13 +33,18 @@ from perilune.core import NUMERIC, Batch, Matrix, Outcome, Vector
 from perilune.methods.indirect.export_arcs import propagate_in_one_piece
 from perilune.methods.indirect.exported_phases import assemble_trajectories
 from perilune.methods.indirect.unknowns import free_values, scaled_end_multipliers
-from perilune.problem.casadi_trace import canonical_given, free_scales, state_scales
-from perilune.problem.controls import control_scales
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Variable
+from perilune.problem import (
+    Curve,
+    Phase,
+    Problem,
+    Solution,
+    Trajectory,
+    Variable,
+    canonical_given,
+    control_scales,
+    free_scales,
+    state_scales,
+)
 from perilune.shooting import propagate_lanes
 
 STEPS = 40  # of one phase under given controls: far more accurate than what a population resolves

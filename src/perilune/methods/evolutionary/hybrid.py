@@ -24,9 +24,7 @@ from perilune.core import (
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.evolutionary.genetic import Generation, Genetic
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Solution
+from perilune.problem import Extremal, Nature, Problem, Solution
 
 
 @check_call

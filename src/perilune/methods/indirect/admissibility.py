@@ -14,10 +14,7 @@ from perilune.methods.indirect.export_arcs import PropagatedPhase, propagate_for
 from perilune.methods.indirect.exported_phases import minimising_controls
 from perilune.methods.indirect.unknowns import free_values, objective_scale
 from perilune.methods.indirect.violations import ConstraintViolation, bound_violations, violations_along
-from perilune.problem.casadi_trace import state_scales
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import Variable
+from perilune.problem import Phase, Problem, Variable, state_scales
 from perilune.shooting import Root
 from perilune.structures import CLOSEST, refine_minima
 

@@ -23,10 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perilune.core import Vector, format_quantity
-from perilune.problem.controls import scalars
-from perilune.problem.display.quantity_names import limit_name, quantity_name
-from perilune.problem.phase import Phase
-from perilune.problem.results.solution import Solution
+from perilune.problem import Phase, Solution, limit_name, quantity_name, scalars
 
 _LOOKS = 400  # times of a phase, between which a change is a jump
 _FAR = 0.5  # of the range of a component along the flight

@@ -12,11 +12,7 @@ import numpy as np
 from perilune.core import PeriluneError, Vector, Watch, ignore_events, remember_best
 from perilune.direct import ROUGHEST
 from perilune.methods.indirect.settings import SearchSettings
-from perilune.problem.controls import scalars
-from perilune.problem.display.quantity_names import objective_text
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Variable
+from perilune.problem import Problem, Solution, Variable, objective_text, scalars
 from perilune.structures import contacts_in_phase, stays_between_bounds
 
 _SEGMENTS = 8  # of a phase; of several phases together at first

@@ -13,7 +13,7 @@ from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot, 
 from perilune.methods.indirect.diagnosis import NOT_ISOLATED
 from perilune.methods.indirect.initializers import ColdStarts, StartMembers
 from perilune.methods.indirect.search_state import SearchState, count_extremals
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution
 from perilune.shooting import Member, Root
 
 _MOST_OUTDOING = 6  # extremals that break the path, in whose basins admissible ones are looked for

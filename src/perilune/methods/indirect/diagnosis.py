@@ -26,11 +26,18 @@ from perilune.methods.indirect.chattering import detect_chattering
 from perilune.methods.indirect.coarse_direct import Coarse, path_condition_values
 from perilune.methods.indirect.unknowns import free_values, residual_scales, unreachable_by_shooting
 from perilune.methods.indirect.violations import ConstraintViolation
-from perilune.problem.controls import control_scales, control_slices
-from perilune.problem.display.quantity_names import end_text, limit_name, objective_text, quantity_name, stating_keys
-from perilune.problem.presolve import preflight
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import (
+    Problem,
+    Solution,
+    control_scales,
+    control_slices,
+    end_text,
+    limit_name,
+    objective_text,
+    preflight,
+    quantity_name,
+    stating_keys,
+)
 from perilune.shooting import Root, nearly_open
 
 _DEFECT = "the dynamics of "  # in a least miss: it is no flight, and nothing that was stated stands in the way

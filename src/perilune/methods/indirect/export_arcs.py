@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from perilune.conditions import OptimalityConditions, extremal_parameters
 from perilune.core import Matrix, NotConvergedError, Vector
 from perilune.kernels import DenseArc
-from perilune.problem.casadi_trace import state_scales
-from perilune.problem.problem import Problem
+from perilune.problem import Problem, state_scales
 from perilune.shooting import FINEST, Root, Shooting, propagate_arc, propagate_settling_phase
 
 _FINE = {"rtol": 1e-13, "atol": 1e-13}  # of the arcs that are exported

@@ -15,14 +15,18 @@ from perilune.conditions import OptimalityConditions, PhaseExtremal, extremal_pa
 from perilune.core import Matrix, Vector
 from perilune.methods.indirect.export_arcs import PropagatedPhase
 from perilune.methods.indirect.unknowns import free_values, objective_scale
-from perilune.problem.casadi_trace import state_scales
-from perilune.problem.controls import control_scales, scalars
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.hermite_nodes import hermite_nodes
-from perilune.problem.results.magnitudes import reached_sizes
-from perilune.problem.results.solution import full
-from perilune.problem.results.trajectory import Curve, Trajectory
+from perilune.problem import (
+    Curve,
+    Phase,
+    Problem,
+    Trajectory,
+    control_scales,
+    full,
+    hermite_nodes,
+    reached_sizes,
+    scalars,
+    state_scales,
+)
 
 # Accuracy to which curves are interpolated (canonical): the re-flight integrates the control's error over the whole
 # burn, and 3e-11 rad of a few m/s^2 over 1000 s stays below 1e-6 m/s.

@@ -12,8 +12,7 @@ from perilune.core import Vector
 from perilune.methods.indirect.export_arcs import can_use_multiple_shooting, correct_last_digits, ends_well
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.random_costates import NEARLY, beside_flat, continue_from_guess
-from perilune.problem.perturbed import is_neighbour
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution, is_neighbour
 from perilune.shooting import FINEST, Root
 
 _ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported

@@ -40,12 +40,7 @@ from perilune.methods.indirect.diagnosis import flight_without_extremal_error
 from perilune.methods.indirect.result import Curves
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.settings import STRUCTURE, TRANSCRIBED, SearchSettings
-from perilune.problem.display.quantity_names import objective_text
-from perilune.problem.initial_guess import fitting_guess
-from perilune.problem.perturbed import is_neighbour
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.warnings import KNOWN_BETTER
+from perilune.problem import KNOWN_BETTER, Problem, Solution, fitting_guess, is_neighbour, objective_text
 from perilune.shooting import Member
 from perilune.structures import JoinedTrajectories, Structure
 

@@ -30,8 +30,7 @@ from perilune.methods.indirect.random_costates import (
 )
 from perilune.methods.indirect.settings import TRANSCRIBED, SearchSettings
 from perilune.methods.indirect.unknowns import unknowns_from_solution
-from perilune.problem.display.quantity_names import free_name, kept_text
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution, free_name, kept_text
 from perilune.shooting import Member, Roots
 
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale

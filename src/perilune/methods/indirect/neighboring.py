@@ -20,9 +20,7 @@ from perilune.conditions import extremal_parameters
 from perilune.core import NUMERIC, Matrix, PeriluneError, unknown_name
 from perilune.methods.indirect.newton_trials import found_at
 from perilune.methods.indirect.result import Curves, compose_solution
-from perilune.problem.perturbed import with_given_unchecked
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, Statistics
+from perilune.problem import Problem, Solution, Statistics, with_given_unchecked
 from perilune.shooting import ActiveSetBounds, Root, Roots, Shooting
 from perilune.structures import JoinedTrajectories, join_solution, renumber_restated
 

@@ -11,9 +11,7 @@ from perilune.conditions import Held, OptimalityConditions, derive, extremal_par
 from perilune.core import Iteration, Matrix, Vector, Watch
 from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot
 from perilune.methods.indirect.unknowns import joints_from_solution
-from perilune.problem.casadi_trace import free_scales
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution, free_scales
 from perilune.shooting import FINEST, ActiveSetBounds, Root, Roots, Shooting, complete_open_roots
 
 AT_BOUND = 1e-8  # canonical distance at which a value counts as lying on a bound

@@ -11,9 +11,7 @@ from perilune.core import Matrix, Vector
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.settings import SearchSettings
 from perilune.methods.indirect.unknowns import unknowns_from_solution
-from perilune.problem.casadi_trace import canonical_free
-from perilune.problem.perturbed import is_neighbour, move_start, offset_of
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution, canonical_free, is_neighbour, move_start, offset_of
 from perilune.shooting import ActiveSetBounds, Member, Root, follow_family, root_across
 
 PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers

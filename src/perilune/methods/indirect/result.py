@@ -13,10 +13,7 @@ from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot, 
 from perilune.methods.indirect.export_arcs import PropagatedStates, propagate_for_export
 from perilune.methods.indirect.exported_phases import assemble_trajectories
 from perilune.methods.indirect.unknowns import free_values, objective_scale, scaled_end_multipliers
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Solution, Statistics
-from perilune.problem.results.trajectory import Trajectory
+from perilune.problem import Extremal, Nature, Problem, Solution, Statistics, Trajectory
 from perilune.shooting import Root
 
 _SAME = 1e-9  # of J and of the free parameters, canonical: what two extremals may differ by and be listed as one

@@ -24,9 +24,7 @@ from perilune.methods.indirect.search_state import SearchState
 from perilune.methods.indirect.settings import SearchSettings
 from perilune.methods.indirect.unknowns import free_values, unknowns_from_solution
 from perilune.methods.indirect.violations import ConstraintViolation
-from perilune.problem.perturbed import is_neighbour
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution, is_neighbour
 from perilune.shooting import Member, Root
 
 _LITTLE = 1e-2  # canonical: what is broken by more a mesh has seen, and its flight shows the arcs that keep it

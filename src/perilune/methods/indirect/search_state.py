@@ -17,9 +17,7 @@ from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.result import compose_solution
 from perilune.methods.indirect.settings import SearchSettings
 from perilune.methods.indirect.violations import ConstraintViolation
-from perilune.problem.display.quantity_names import kept_text
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, Statistics
+from perilune.problem import Problem, Solution, Statistics, kept_text
 from perilune.shooting import Member, Root
 
 

@@ -6,12 +6,7 @@ import numpy as np
 
 from perilune.conditions import OptimalityConditions
 from perilune.core import PeriluneError, Vector
-from perilune.problem.casadi_trace import canonical_free, free_scales, state_scales
-from perilune.problem.controls import scalars
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, Phase, Problem, Solution, canonical_free, free_scales, scalars, state_scales
 
 _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
 

@@ -9,12 +9,17 @@ from typing import Any
 import numpy as np
 
 from perilune.core import Matrix, Vector, format_bound, format_quantity
-from perilune.problem.controls import ScalarControl, scalars
-from perilune.problem.display.quantity_names import limit_name, quantity_name
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.variables import FreeParameter, Variable
+from perilune.problem import (
+    FreeParameter,
+    Phase,
+    Problem,
+    ScalarControl,
+    Solution,
+    Variable,
+    limit_name,
+    quantity_name,
+    scalars,
+)
 from perilune.structures import Structure
 
 _LOOKS = 201  # times of a phase, in addition to the nodes of its tables

@@ -13,8 +13,7 @@ from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.trajectory_atmosphere import NEAR, air_along, largest_density_change, profile_of_states
 from perilune.models.physics.bodies import Planet
 from perilune.models.physics.vehicle import Throttle
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 
 _ROUNDS = 6
 

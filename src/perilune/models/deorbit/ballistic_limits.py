@@ -35,7 +35,7 @@ from perilune.models.deorbit.records import is_something_left, total_velocity_ch
 from perilune.models.deorbit.site_passes import largest_plane_turn, least_burnout_mass
 from perilune.models.physics import aerodynamics
 from perilune.models.physics.atmosphere import Air
-from perilune.problem.presolve import Finding
+from perilune.problem import Finding
 
 _GRIDS = ((7, 5, 3), (13, 17, 3))  # angles, speeds and masses of the box; the finer where the first leaves it open
 _BENDS = 0.25  # times second differences

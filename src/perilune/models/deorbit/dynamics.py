@@ -17,8 +17,7 @@ from perilune.models.deorbit.records import engine_exhaust_speed, is_something_l
 from perilune.models.physics import aerodynamics, ellipsoid
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.rotating_frame import Triple, combine, free_acceleration, local_axes, scalar_product
-from perilune.problem.controls import ScalarControl, UnitVectorControl
-from perilune.problem.variables import Variable
+from perilune.problem import ScalarControl, UnitVectorControl, Variable
 
 STEERING = UnitVectorControl(names=("toward_x", "toward_y", "toward_z"))
 BANKS: dict[str, UnitVectorControl | ScalarControl] = {

@@ -32,7 +32,7 @@ from perilune.models.deorbit.site_passes import Pass, apsis_radii, find_passes, 
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.delta_v_bounds import greatest_thrust
 from perilune.models.physics.rotating_frame import scalar_product
-from perilune.problem.problem import Problem
+from perilune.problem import Problem
 
 MOST_DAYS = 60.0  # after which secular rates of first order, and no drag on the orbit, say little
 _DAY = 86400.0  # s

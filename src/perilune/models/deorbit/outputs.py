@@ -25,8 +25,7 @@ from perilune.models.physics.rotating_frame import (
     scalar_product,
     zonal_gravity,
 )
-from perilune.problem.display.views import Corridor, Dispersion, Disturbance, Ground, History, Space, ValidRange, Views
-from perilune.problem.variables import Variable
+from perilune.problem import Corridor, Dispersion, Disturbance, Ground, History, Space, ValidRange, Variable, Views
 
 PLACED = (
     Variable(name="altitude", unit="m"),

@@ -25,9 +25,7 @@ from perilune.models.landing.problem import mass_state
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.rotating_frame import Triple, apparent_gravity, combine, scalar_product
-from perilune.problem.named_values import Conditions, Quantities
-from perilune.problem.phase import Phase
-from perilune.problem.variables import Variable
+from perilune.problem import Conditions, Phase, Quantities, Variable
 
 
 def sinking_velocity(x: Any, p: Any, xp: Any, *, air: Air) -> Triple:

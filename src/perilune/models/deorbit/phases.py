@@ -12,9 +12,7 @@ from perilune.models.landing.problem import mass_state
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.delta_v_budget import SPENT
 from perilune.models.physics.vehicle import THROTTLE
-from perilune.problem.named_values import Conditions, Quantities
-from perilune.problem.phase import Phase
-from perilune.problem.variables import Variable
+from perilune.problem import Conditions, Phase, Quantities, Variable
 
 DURATION_NAMES = {
     "coast": "coast_time",

@@ -73,7 +73,7 @@ from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.crossrange import glide_limits
 from perilune.models.physics.delta_v_bounds import greatest_thrust
 from perilune.models.physics.standard_atmosphere import LOWEST, density as standard_density
-from perilune.problem.presolve import Finding
+from perilune.problem import Finding
 
 _DEGREE = math.degrees(1.0)
 OFF_PLANE = math.radians(0.5)  # of oblateness and of what the air does

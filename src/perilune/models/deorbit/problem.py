@@ -45,10 +45,7 @@ from perilune.models.physics import atmosphere
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.bodies import EARTH, Planet, catalogue_name
 from perilune.models.physics.vehicle import Throttle
-from perilune.problem.named_values import Quantities
-from perilune.problem.parameters import given_of
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter
+from perilune.problem import FreeParameter, Parameter, Problem, Quantities, given_of
 
 
 def _total_time(x: Any, p: Any, xp: Any) -> Any:

@@ -31,7 +31,7 @@ from perilune.models.deorbit.ballistic_limits import (
 from perilune.models.deorbit.records import is_something_left, total_velocity_change
 from perilune.models.deorbit.site_passes import largest_plane_turn
 from perilune.models.physics.atmosphere import Air
-from perilune.problem.presolve import Finding
+from perilune.problem import Finding
 
 _POINTS = 2001  # of a fall, which takes up to three turns
 

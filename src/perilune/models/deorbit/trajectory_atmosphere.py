@@ -19,7 +19,7 @@ from perilune.models.deorbit.initial_guess import rough_trajectory, typical_time
 from perilune.models.deorbit.records import Atmosphere
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.atmosphere import Air, TrajectoryProfile, standard, thermosphere
-from perilune.problem.variables import Parameter
+from perilune.problem import Parameter
 
 NEAR = 1e-3  # of a density: a table that changes by less stays
 _ROUNDS = 4

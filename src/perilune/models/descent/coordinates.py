@@ -38,7 +38,7 @@ from perilune.models.physics.rotating_frame import (
     scalar_product,
     spherical_coordinates,
 )
-from perilune.problem.variables import Variable
+from perilune.problem import Variable
 
 AXIS = (0.0, 0.0, 1.0)  # of the rotation, in the Cartesian frame
 

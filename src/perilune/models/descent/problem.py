@@ -57,14 +57,22 @@ from perilune.models.physics.delta_v_budget import FLIGHT_TIME, LANDED_MASS, LAN
 from perilune.models.physics.one_burn import one_burn_wastes
 from perilune.models.physics.rotating_frame import INERTIAL_AXES, local_axes, scalar_product
 from perilune.models.physics.vehicle import THROTTLE, Throttle, Vehicle
-from perilune.problem.controls import Control, ScalarControl, UnitVectorControl
-from perilune.problem.display.views import History, Space, Views
-from perilune.problem.named_values import Conditions, Quantities
-from perilune.problem.parameters import given_of
-from perilune.problem.phase import Phase
-from perilune.problem.presolve import Finding
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter
+from perilune.problem import (
+    Conditions,
+    Control,
+    Finding,
+    FreeParameter,
+    History,
+    Parameter,
+    Phase,
+    Problem,
+    Quantities,
+    ScalarControl,
+    Space,
+    UnitVectorControl,
+    Views,
+    given_of,
+)
 
 _FRAMES = {"cartesian": CARTESIAN, "spherical": SPHERICAL}
 

@@ -17,10 +17,7 @@ import numpy as np
 from perilune.core import NUMERIC, Matrix
 from perilune.models.descent.two_impulses import landing_start_of, two_impulses
 from perilune.models.physics.delta_v_bounds import exhaust_speed, greatest_thrust
-from perilune.problem.initial_guess import guess
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, Problem, Solution, guess
 from perilune.structures import Arc, Structure
 
 if TYPE_CHECKING:

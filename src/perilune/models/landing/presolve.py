@@ -23,7 +23,7 @@ from perilune.models.physics.delta_v_bounds import (
     speed_with_fall,
 )
 from perilune.models.physics.one_burn import SPENDS, full_burn
-from perilune.problem.presolve import Finding
+from perilune.problem import Finding
 
 LEAST_LANDED_SHARE = 0.1
 

@@ -34,15 +34,22 @@ from perilune.models.physics.bodies import MOON, Body, catalogue_name
 from perilune.models.physics.delta_v_bounds import braking_distance_and_time, exhaust_speed
 from perilune.models.physics.delta_v_budget import FLIGHT_TIME, LANDED_MASS, PROPELLANT, SPENT, velocity_loss_rates
 from perilune.models.physics.vehicle import Retro, Vehicle
-from perilune.problem.controls import UnitVectorControl
-from perilune.problem.display.views import Beside, History, Space, Views
-from perilune.problem.named_values import Conditions, Quantities
-from perilune.problem.parameters import given_of
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.variables import FreeParameter, Variable
-from perilune.problem.verification import Check
+from perilune.problem import (
+    Beside,
+    Check,
+    Conditions,
+    FreeParameter,
+    History,
+    Phase,
+    Problem,
+    Quantities,
+    Solution,
+    Space,
+    UnitVectorControl,
+    Variable,
+    Views,
+    given_of,
+)
 
 
 @record("orbit")

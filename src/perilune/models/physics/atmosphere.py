@@ -25,7 +25,7 @@ import numpy as np
 from perilune.core import MOST_KNOTS, PeriluneError, Table, Vector, one_line
 from perilune.models.physics import standard_atmosphere
 from perilune.models.physics.air_table import read_air_table
-from perilune.problem.variables import Parameter
+from perilune.problem import Parameter
 
 STANDARD_NEAR = 1e-3  # of the density
 NEAR, ROUGHEST = 1e-3, 1e-2  # of the density: aimed at, and refused

@@ -13,9 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from perilune.core import Physics, quantity
-from perilune.problem.named_values import Conditions, Quantities, named_variables
-from perilune.problem.phase import Phase
-from perilune.problem.variables import FreeParameter, Variable
+from perilune.problem import Conditions, FreeParameter, Phase, Quantities, Variable, named_variables
 
 SHORTEST = 1e-3  # s: a curve has a length; the landed mass does not feel it
 LONGEST: Any = quantity(

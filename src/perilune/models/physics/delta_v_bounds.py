@@ -38,7 +38,7 @@ from typing import Any
 
 from perilune.models.physics.bodies import Body
 from perilune.models.physics.rotating_frame import combine, cross_product, scalar_product
-from perilune.problem.presolve import Finding
+from perilune.problem import Finding
 
 SLACK = 1.02  # of what the rocket equation allows, for J2, which the speed w leaves out
 _TIMES = tuple(1.3**k for k in range(13))  # of t_b, for the stopping distance

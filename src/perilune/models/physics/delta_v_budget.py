@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from perilune.models.physics.rotating_frame import scalar_product
-from perilune.problem.variables import Variable
+from perilune.problem import Variable
 
 # Below any speed, in any unit: at rest nothing is lost and no direction is asked for.
 _REST = 1e-300

@@ -12,7 +12,7 @@ from typing import Any
 
 from perilune.models.physics.delta_v_bounds import exhaust_speed, greatest_thrust, speed_of_ground
 from perilune.models.physics.rotating_frame import combine, cross_product, scalar_product
-from perilune.problem.presolve import Finding
+from perilune.problem import Finding
 
 SPENDS = 1.5  # times the velocity change of impulses: more of one burn is worth a word
 _ROUNDS = 12  # of the mean acceleration

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from perilune.core import STANDARD_GRAVITY, PeriluneError, quantity, record
-from perilune.problem.controls import ScalarControl
+from perilune.problem import ScalarControl
 
 # Cold gas has about 60 s and hydrogen with oxygen 465 s; exhaust velocities in m/s begin at several hundred.
 _SPECIFIC_IMPULSE: dict[str, Any] = {

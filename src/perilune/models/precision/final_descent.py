@@ -22,9 +22,7 @@ from typing import Any
 from perilune.core import Physics, quantity, record
 from perilune.models.physics.delta_v_bounds import gravity_at
 from perilune.models.precision.path_constraints import Corridor, corridor_conditions
-from perilune.problem.named_values import Conditions, Quantities
-from perilune.problem.phase import Phase
-from perilune.problem.variables import FreeParameter, Variable
+from perilune.problem import Conditions, FreeParameter, Phase, Quantities, Variable
 
 
 @record("final")

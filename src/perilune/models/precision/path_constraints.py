@@ -15,7 +15,7 @@ from typing import Any
 
 from perilune.core import quantity, record
 from perilune.models.descent.coordinates import variables_of_unit
-from perilune.problem.variables import Variable
+from perilune.problem import Variable
 
 
 @record("corridor")

@@ -26,7 +26,7 @@ from perilune.models.physics.delta_v_bounds import (
 from perilune.models.physics.rotating_frame import scalar_product
 from perilune.models.precision.ground import ground_free_acceleration, over_ground
 from perilune.models.precision.path_constraints import above_slope
-from perilune.problem.presolve import Finding
+from perilune.problem import Finding
 
 
 def compare_precision(p: Any, xp: Any, *, body: Body | UniformGravity = MOON) -> tuple[Finding, ...]:

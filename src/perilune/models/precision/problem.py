@@ -45,13 +45,20 @@ from perilune.models.precision.path_constraints import (
     height_margins,
 )
 from perilune.models.precision.presolve import compare_precision
-from perilune.problem.controls import UnitVectorControl
-from perilune.problem.display.views import History, Space, ValidRange, Views
-from perilune.problem.named_values import Conditions, Quantities
-from perilune.problem.parameters import given_of
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Variable
+from perilune.problem import (
+    Conditions,
+    FreeParameter,
+    History,
+    Phase,
+    Problem,
+    Quantities,
+    Space,
+    UnitVectorControl,
+    ValidRange,
+    Variable,
+    Views,
+    given_of,
+)
 
 
 @record("approach")

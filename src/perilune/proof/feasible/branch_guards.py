@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import COMPLEX, Table, stack_broadcast
-from perilune.problem.phase import Phase
+from perilune.problem import Phase
 
 _COMPARISONS = {np.less, np.less_equal, np.greater, np.greater_equal}
 

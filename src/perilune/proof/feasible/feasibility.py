@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import COMPLEX, NUMERIC, Matrix, PeriluneError, Vector
-from perilune.problem.controls import control_slices
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import Check
+from perilune.problem import Check, Solution, control_slices
 from perilune.proof.feasible.deviations import MOST_GROWTH
 from perilune.proof.feasible.phase_data import PhaseData, end_slopes, free_size, objective_slope, slopes_at
 from perilune.proof.feasible.repropagate import Reintegration, smooth_pieces

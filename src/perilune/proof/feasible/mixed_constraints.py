@@ -21,9 +21,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import COMPLEX, NUMERIC, STEP, Matrix, Vector, complex_step_jacobian, stack_broadcast
-from perilune.problem.controls import ScalarControl, admissible, control_slices, normalised, tangents
-from perilune.problem.phase import Phase
-from perilune.problem.variables import Variable
+from perilune.problem import Phase, ScalarControl, Variable, admissible, control_slices, normalised, tangents
 
 ON_BOUND = 1e-7  # a control this close to its bound or to a condition, in canonical units, lies on it
 _DEPENDENT = 1e-10  # of the largest: conditions whose slopes differ by less leave their multipliers open

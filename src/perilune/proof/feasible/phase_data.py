@@ -11,13 +11,23 @@ from typing import Any
 import numpy as np
 
 from perilune.core import COMPLEX, STEP, Matrix, Vector, complex_step_jacobian, stack_broadcast
-from perilune.problem.controls import control_scales, normalised
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.results.magnitudes import BEYOND, ROUNDS, STILL, reached_sizes, supported_scale, supported_unit
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import FreeParameter, Variable
+from perilune.problem import (
+    BEYOND,
+    ROUNDS,
+    STILL,
+    Curve,
+    FreeParameter,
+    Phase,
+    Problem,
+    Solution,
+    Trajectory,
+    Variable,
+    control_scales,
+    normalised,
+    reached_sizes,
+    supported_scale,
+    supported_unit,
+)
 from perilune.proof.feasible.mixed_constraints import ON_BOUND, MixedConstraints
 from perilune.proof.feasible.piece_refinement import halve_until_settled
 from perilune.proof.feasible.sample_points import (

@@ -24,10 +24,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import COMPLEX, NUMERIC, Matrix, Vector, sign_of_life
-from perilune.problem.controls import directions
-from perilune.problem.phase import Phase
-from perilune.problem.results.solution import Solution
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve, Phase, Solution, directions
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.deviations import MOST_GROWTH, state_deviation
 from perilune.proof.feasible.phase_data import PhaseData, slopes_at_end

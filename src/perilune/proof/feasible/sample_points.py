@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import Matrix, Vector
-from perilune.problem.results.trajectory import Curve
+from perilune.problem import Curve
 
 
 def _collocation_rule(count: int) -> tuple[Vector, Vector, Matrix]:

@@ -21,9 +21,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import Matrix, Vector, complex_step_jacobian
-from perilune.problem.controls import normalised
-from perilune.problem.phase import Phase
-from perilune.problem.results.trajectory import Trajectory
+from perilune.problem import Phase, Trajectory, normalised
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.sample_points import (
     ENDS,

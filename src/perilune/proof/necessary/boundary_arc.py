@@ -19,8 +19,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 
 from perilune.core import COMPLEX, Matrix, Vector, complex_step_jacobian, stack_broadcast
-from perilune.problem.controls import ScalarControl
-from perilune.problem.tracing.costate_signs import unpriced_states
+from perilune.problem import ScalarControl, unpriced_states
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.structures import Condition
 

@@ -25,11 +25,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from perilune.core import NUMERIC, Vector
-from perilune.problem.controls import scalars
-from perilune.problem.results.solution import Solution, full
-from perilune.problem.tracing.lie_derivatives import depends_on_control
-from perilune.problem.tracing.tape import Expression
-from perilune.problem.verification import Check
+from perilune.problem import Check, Expression, Solution, depends_on_control, full, scalars
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.constraint_activity import LEAST, table_edges
 from perilune.proof.necessary.first_order import STATIONARY_LIMIT, phase_end_multipliers

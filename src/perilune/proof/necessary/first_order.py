@@ -27,9 +27,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import COMPLEX, STEP, Matrix, Vector
-from perilune.problem.results.solution import Solution
-from perilune.problem.variables import FreeParameter
-from perilune.problem.verification import Check
+from perilune.problem import Check, FreeParameter, Solution
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.deviations import MOST_GROWTH, Deviation, costate_deviation
 from perilune.proof.feasible.numerics import significant_size

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from perilune.core import STEP, Matrix, Vector
-from perilune.problem.controls import (
+from perilune.problem import (
+    Check,
     ScalarControl,
     UnitVectorControl,
     control_scales,
@@ -24,7 +25,6 @@ from perilune.problem.controls import (
     scalars,
     tangents,
 )
-from perilune.problem.verification import Check
 from perilune.proof.feasible.mixed_constraints import KEPT, ON_BOUND, MixedConstraints, Multipliers
 from perilune.proof.feasible.numerics import significant_size
 from perilune.proof.feasible.phase_data import PhaseData

@@ -20,9 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.named_values import Conditions
-from perilune.problem.phase import Phase
-from perilune.problem.results.solution import Solution
+from perilune.problem import Conditions, Phase, Solution
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.first_order import INSIDE, end_gradients, end_sides
 

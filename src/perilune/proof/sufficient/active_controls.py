@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import Matrix, Vector
-from perilune.problem.verification import Check
+from perilune.problem import Check
 from perilune.proof.feasible.mixed_constraints import MixedConstraints
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.minimum_principle import SLOPE_LIMIT, gradient_along

@@ -44,9 +44,7 @@ from functools import cached_property
 import numpy as np
 
 from perilune.core import COMPLEX, STEP, Matrix, Vector, stack_broadcast
-from perilune.problem.controls import control_slices, scalars
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import Check
+from perilune.problem import Check, Solution, control_slices, scalars
 from perilune.proof.feasible.phase_data import PhaseData, end_slopes, free_size, slopes_at_end
 from perilune.proof.necessary.boundary_arc import ALONG, BoundaryArc
 from perilune.proof.necessary.contact_points import MET, SIDEWAYS, STRICT

@@ -41,9 +41,7 @@ from functools import cache
 
 import numpy as np
 
-from perilune.problem.controls import scalars
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import Check
+from perilune.problem import Check, Solution, scalars
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.first_order import unbounded_parameters
 from perilune.proof.sufficient.active_controls import check_strict_conditions

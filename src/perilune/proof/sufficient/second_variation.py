@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core import Matrix, Vector, complex_step_jacobian, sign_of_life
-from perilune.problem.controls import ScalarControl, control_slices, normalised, tangents
+from perilune.problem import ScalarControl, control_slices, normalised, tangents
 from perilune.proof.feasible.numerics import hessian
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.minimum_principle import control_rates, limit_derivatives, on_bounds, varied_sizes

@@ -15,16 +15,16 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.core import PeriluneError, sign_of_life
-from perilune.problem.perturbed import (
+from perilune.problem import (
+    Check,
+    Problem,
+    Solution,
     fix_free_parameters,
     move_start,
     offset_of,
     release_free_parameters,
     with_start_offsets,
 )
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import Check
 from perilune.proof.feasible.phase_data import PhaseData, objective_size
 from perilune.proof.necessary.first_order import all_multipliers, is_at_bounds, unbounded_parameters
 

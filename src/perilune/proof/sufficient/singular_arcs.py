@@ -29,7 +29,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from perilune.core import Vector
-from perilune.problem.controls import scalars
+from perilune.problem import scalars
 from perilune.proof.feasible.mixed_constraints import ON_BOUND
 from perilune.proof.feasible.phase_data import PhaseData
 

@@ -39,8 +39,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perilune.core import Matrix, Vector, complex_step_jacobian
-from perilune.problem.controls import ScalarControl, scalars
-from perilune.problem.verification import Check
+from perilune.problem import Check, ScalarControl, scalars
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.feasible.sample_points import time_just_before
 from perilune.proof.necessary.minimum_principle import (

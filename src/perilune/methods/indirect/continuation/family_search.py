@@ -13,8 +13,7 @@ from perilune.methods.indirect.continuation.parameter_scan import (
     unknown_extremals,
 )
 from perilune.methods.indirect.search_state import SearchState, count_extremals
-from perilune.problem.casadi_trace import free_scales
-from perilune.problem.display.quantity_names import free_name
+from perilune.problem import free_name, free_scales
 from perilune.shooting import Member, Root
 
 _MOST_FOLLOWED = 24  # extremals from which families along other parameters are followed

@@ -25,8 +25,7 @@ from perilune.methods.indirect.continuation.regularized import RATE, smooth_prob
 from perilune.methods.indirect.export_arcs import can_use_multiple_shooting
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.unknowns import joints_from_solution, unknowns_from_solution
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution
 from perilune.shooting import Root, Shooting
 
 SMOOTH = "smoothed controls"  # what this way of starting is called

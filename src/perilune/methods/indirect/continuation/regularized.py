@@ -24,13 +24,20 @@ from typing import Any
 import numpy as np
 
 from perilune.core import Matrix
-from perilune.problem.controls import Control, ScalarControl, UnitVectorControl, limit_value
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.lie_derivatives import run_expression
-from perilune.problem.tracing.tape import Expression, Recorder
-from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem import (
+    PHASE_FUNCTIONS,
+    Control,
+    Expression,
+    Parameter,
+    Phase,
+    Problem,
+    Recorder,
+    ScalarControl,
+    UnitVectorControl,
+    Variable,
+    limit_value,
+    run_expression,
+)
 from perilune.structures import linear_scalars
 
 RATE = "smoothing_rate"  # the given parameter that goes to zero

@@ -26,9 +26,7 @@ from perilune.methods.indirect.result import Curves
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.settings import STRUCTURE, SearchSettings
 from perilune.methods.indirect.violations import violation_by_control
-from perilune.problem.perturbed import is_neighbour
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
+from perilune.problem import Problem, Solution, is_neighbour
 from perilune.structures import (
     HoppingStructure,
     JoinedTrajectories,

@@ -12,8 +12,7 @@ from perilune.core import Vector
 from perilune.methods.indirect.newton_trials import found_at
 from perilune.methods.indirect.random_costates import active_set_of_guess, unknowns_of_guess
 from perilune.methods.indirect.search import Search
-from perilune.problem.casadi_trace import free_scales
-from perilune.problem.results.solution import Solution
+from perilune.problem import Solution, free_scales
 from perilune.shooting import FINEST, Root
 
 _SECANTS = 8
