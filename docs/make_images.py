@@ -5,6 +5,8 @@ They show the landing of Cho, Kim, Leeghim 2015 as solved here, drawn by the pro
 
 from __future__ import annotations
 
+import contextlib
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +25,18 @@ def draw(hybrid: Solution, ordinary: Solution, directory: Path) -> list[Path]:
     for figure, name in names.items():
         save_figure(made[figure], directory, name)
         (directory / f"{name}.svg").unlink()
-    return [directory / f"{name}.png" for name in names.values()]
+    return [*(directory / f"{name}.png" for name in names.values()), draw_engines(directory)]
+
+
+def draw_engines(directory: Path) -> Path:
+    """Draw the map of `docs/ten-thousand-landings.md` as its own blocks of Python do."""
+    page = (Path(__file__).parent / "ten-thousand-landings.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    drawn = next(i for i, block in enumerate(blocks) if "savefig" in block)
+    with contextlib.chdir(Path(__file__).parent.parent), contextlib.redirect_stdout(None):
+        code = "\n".join(blocks[: drawn + 1]).replace('"engines.png"', repr(str(directory / "engines.png")))
+        exec(compile(code, "ten-thousand-landings.md", "exec"), {})  # our own page
+    return directory / "engines.png"
 
 
 if __name__ == "__main__":

@@ -45,10 +45,10 @@ FACE = "__init__"  # of the package: it names what is handed on, lazily
 # for users too.
 FACED = tuple(room for room in ROOMS if (SOURCE / "perilune" / room / "__init__.py").exists() and room != "words")
 MOST_NAMES = {
-    "core": 100,
-    "problem": 129,
+    "core": 101,
+    "problem": 130,
     "structures": 25,
-    "charts": 22,
+    "charts": 24,
     "models": 36,
     "io": 60,
     "atlas": 18,

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
     from perilune.core.maths import Table
     from perilune.core.units import Scales
+    from perilune.families.batch import Batch
     from perilune.families.family import Family, FamilyPoint
+    from perilune.families.solve_many import solve_many
     from perilune.families.sweep import sweep
     from perilune.io.exports.writing import export
     from perilune.io.load import load
@@ -58,6 +60,7 @@ _RENAMED = {
 
 __all__ = [
     "MOON",
+    "Batch",
     "Check",
     "Conditions",
     "Curve",
@@ -102,6 +105,7 @@ __all__ = [
     "save",
     "scenario",
     "solve",
+    "solve_many",
     "sweep",
     "verify",
     "views",
@@ -116,6 +120,8 @@ _METHODS = {
     "verification_page": "perilune.report.notebook",
     "to_xarray": "perilune.io.exports.writing",
     "to_dataframe": "perilune.io.exports.writing",
+    "batch_frame": "perilune.families.export_frames",
+    "batch_dataset": "perilune.families.export_frames",
     "family_frame": "perilune.families.export_frames",
     "family_dataset": "perilune.families.export_frames",
 }

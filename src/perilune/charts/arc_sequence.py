@@ -120,6 +120,23 @@ def arc_sequence_of(solution: Solution, keep: Held) -> tuple[ArcSequence, list[E
     raise PeriluneError("the control keeps only some of the mixed constraints, which an atlas does not follow yet")
 
 
+def kept_conditions(solution: Solution) -> Held:
+    """Return the conditions of the path that the control keeps along a smooth extremal of the indirect method.
+
+    Raises
+    ------
+    PeriluneError
+        If it is not the curves of an extremal, or the control keeps only some of the mixed constraints.
+    """
+    flown, problem = solution.trajectories, solution.problem
+    if isinstance(flown, JoinedTrajectories):
+        return ()
+    for own in ((), attainable_conditions(problem)):
+        if isinstance(flown, Curves) and derive(problem, own) is flown.conditions:
+            return own
+    raise PeriluneError("the solution is no extremal that a chart can follow", got=f"a solution of {solution.method}")
+
+
 def _refuse_unknown(solution: Solution, structure: Structure) -> None:
     """Refuse arcs whose multiplier signs an independent re-integration cannot determine."""
     for k, arcs in enumerate(structure.phases):

@@ -57,6 +57,8 @@ class StraightContinuation:
         Times as far Newton's method may lead on the way; anywhere if None.
     rough
         A residual and a last step, of 1 + |y|, that will do where errors of a sensitive flight leave no less.
+    limit
+        Most evaluations of a step.
 
     Attributes
     ----------
@@ -78,9 +80,10 @@ class StraightContinuation:
         near: float = _NEAR,
         astray: float | None = None,
         rough: float = 0.0,
+        limit: int = MOST,
     ) -> None:
         self._chart, self._holds, self._at, self._d = chart, holds, list(at), len(chart.names)
-        self._sides, self._near, self._astray, self._rough = sides, near, astray, rough
+        self._sides, self._near, self._astray, self._rough, self._limit = sides, near, astray, rough, limit
         count, n = y.shape
         self.y: Matrix = y.copy()
         self.cost: Vector = np.full(count, np.nan)
@@ -175,7 +178,7 @@ class StraightContinuation:
         return again.converged & same_unknowns(self.y[lanes], again.y)
 
     def _solved(self, lanes: Lanes, places: Matrix, y: Matrix, **settings: Any) -> Extremals:
-        found = self._chart.solve(places[:, : self._d], y, self._holds(lanes, places), limit=MOST, **settings)
+        found = self._chart.solve(places[:, : self._d], y, self._holds(lanes, places), limit=self._limit, **settings)
         if not self._rough:
             return found
         with np.errstate(invalid="ignore"):
@@ -209,6 +212,7 @@ def follow_sheets(
     shortest: float = _SHORTEST,
     near: float = _NEAR,
     astray: float | None = None,
+    limit: int = MOST,
 ) -> tuple[Matrix, Vector]:
     """Follow branches along straight lines.
 
@@ -220,7 +224,7 @@ def follow_sheets(
         An extremal of each: values, and unknowns there, canonical.
     targets
         Values to which the lines lead, (walks, d), canonical.
-    shortest, near, astray
+    shortest, near, astray, limit
         Of `StraightContinuation`.
 
     Returns
@@ -233,7 +237,7 @@ def follow_sheets(
     def holds(lanes: Lanes, values: Matrix) -> Holds:
         return borders.holds(sheets, which[lanes], values)
 
-    walk = StraightContinuation(chart, holds, starts, y, sides=sides, near=near, astray=astray)
+    walk = StraightContinuation(chart, holds, starts, y, sides=sides, near=near, astray=astray, limit=limit)
     share = walk.go(np.arange(len(starts)), targets, shortest)
     return walk.y, share
 

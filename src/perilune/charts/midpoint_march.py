@@ -111,7 +111,7 @@ def _phase_end_state(conditions: OptimalityConditions, k: int, state: ca.SX) -> 
 
 
 def end_function(conditions: OptimalityConditions, rides: ChartBoundaryArcs) -> ca.Function:
-    """Build the function (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
+    """Build the function (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates, ranges, ends.
 
     Choice and results are those of `perilune.charts.reintegrate`.
 
@@ -125,8 +125,8 @@ def end_function(conditions: OptimalityConditions, rides: ChartBoundaryArcs) -> 
     y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
     free = conditions.free_at.stop - conditions.free_at.start
     held, told = (ca.SX.sym(name, free + len(conditions.ranges)) for name in ("held", "told"))
-    states = [_march_symbols(conditions, k) for k in range(len(conditions.phases))]
-    ends = [_phase_end_state(conditions, k, state) for k, state in enumerate(states)]
+    marched = [_march_symbols(conditions, k) for k in range(len(conditions.phases))]
+    ends = [_phase_end_state(conditions, k, state) for k, state in enumerate(marched)]
     plain, cost = conditions.residual(y, ca.vertcat(*ends), p)
     settled = [k for k, extremal in enumerate(conditions.phases) if extremal.settles]
     rows = dict[int, slice]()
@@ -137,10 +137,10 @@ def end_function(conditions: OptimalityConditions, rides: ChartBoundaryArcs) -> 
     residual, cost = conditions.residual(y, ca.vertcat(*ends), p)
     path, minimum, drift, pays = ca.SX(FAR), ca.SX(FAR), ca.SX(0.0), ca.SX(FAR)
     begins = [
-        conditions.starts[k](y, _phase_end_state(conditions, k - 1, states[k - 1]) if k else ca.SX(0, 1), p)[0]
-        for k in range(len(states))
+        conditions.starts[k](y, _phase_end_state(conditions, k - 1, marched[k - 1]) if k else ca.SX(0, 1), p)[0]
+        for k in range(len(marched))
     ]
-    for k, (extremal, state) in enumerate(zip(conditions.phases, states, strict=True)):
+    for k, (extremal, state) in enumerate(zip(conditions.phases, marched, strict=True)):
         condition, gain, least, most, multiplier = ca.vertsplit(state[-len(NOTHING_SEEN) :])
         path, minimum, change = ca.fmin(path, condition), ca.fmin(minimum, gain), most - least
         pays = ca.fmin(pays, multiplier)
@@ -164,8 +164,10 @@ def end_function(conditions: OptimalityConditions, rides: ChartBoundaryArcs) -> 
     good = conjunction(*ca.vertsplit(ca.vertcat(missed, drift) <= SLACK))
     nearly = conjunction(*ca.vertsplit(missed <= _NEARLY), ca.logic_not(good))
     seen = MarchedMargins(path, minimum, drift, cost, pays, ca.mmax(ca.fabs(residual)), good, nearly)
-    found = [residual, ca.vertcat(*seen), rates, ranges]
-    return ca.Function("ended", [y, p, ca.vertcat(held, told), *states], [ca.cse(ca.densify(each)) for each in found])
+    counts = [extremal.state_count for extremal in conditions.phases]
+    states = ca.vertcat(begins[0][: counts[0]], *(end[:n] for end, n in zip(ends, counts, strict=True)))
+    found = [residual, ca.vertcat(*seen), rates, ranges, states]
+    return ca.Function("ended", [y, p, ca.vertcat(held, told), *marched], [ca.cse(ca.densify(each)) for each in found])
 
 
 def step_along(rides: ChartBoundaryArcs, k: int, mode: int) -> ca.Function:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from perilune.charts.borders import Borders
 from perilune.charts.chart import Chart
-from perilune.charts.polish import Polished, Polisher
+from perilune.charts.polish import Polisher
 from perilune.charts.reintegrate import ChartReintegration
 from perilune.charts.sheet import Sheet
 from perilune.core import Matrix, Vector
@@ -161,15 +161,21 @@ class OpenChart:
         """Return the problem's own unknowns, (lanes, n), of all unknowns of the chart."""
         return y[:, self._own_places]
 
-    def root(self, polished: Polished) -> Root:
-        """Return a polished extremal as a root of the problem itself, in which the axes are given."""
+    def root(self, y: Matrix, choice: Matrix, residual: Vector, cost: Vector) -> Root:
+        """Return a polished extremal as a root of the problem itself, in which the axes are given.
+
+        Parameters
+        ----------
+        y, choice, residual, cost
+            Of the extremal, as `Polished.row` has them, of one lane.
+        """
         return Root(
-            y=self.own_unknowns(polished.y)[0],
-            residual=polished.reintegrated.margins.residual[:1],
+            y=self.own_unknowns(y)[0],
+            residual=residual,
             inverse=np.full((0, 0), np.nan),
             slopes=np.zeros(len(self._free)),
             ranges=np.zeros(0),
-            cost=float(polished.cost[0]),
-            choice=polished.choice[0, self._own_choice],
+            cost=float(cost[0]),
+            choice=choice[0, self._own_choice],
             converged=True,
         )

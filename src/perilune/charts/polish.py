@@ -109,6 +109,11 @@ class Polished:
             passed=self.passed.copy(), slopes=self.slopes, reached=self.reached, reintegrated=self.reintegrated.copy(),
         )  # fmt: skip
 
+    def row(self, lane: int) -> tuple[Matrix, Matrix, Vector, Vector]:
+        """Return y, choice, residual and J of a lane, as `OpenChart.root` takes them."""
+        its = slice(lane, lane + 1)
+        return self.y[its], self.choice[its], self.reintegrated.margins.residual[its], self.cost[its]
+
     @property
     def cost(self) -> Vector:
         """Return J of the independent re-integration, canonical."""
@@ -183,7 +188,7 @@ class Polisher:
         self.multipliers: list[int] = [nu for _, nu in chart.conditions.ranges]
         self._idle = list[_BoundPolisher]()
 
-    def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
+    def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix, finer: int = 1) -> Polished:
         """Polish guesses.
 
         Parameters
@@ -194,25 +199,27 @@ class Polisher:
             Number of each lane's branch.
         guess
             Unknowns, (lanes, n).
+        finer
+            Times as many steps that the independent re-integration makes.
         """
-        polished = self._polished(values, which, guess)
+        polished = self._polished(values, which, guess, finer)
         for _ in range(_AGAIN):
             if polished.answers.all() or not (rough := polished.rough).size:
                 break
             active = self.chart.active
             begins, lanes = polished.y[rough][:, active], which[rough]
-            polished.put(rough, again := self._polished(values[rough], lanes, begins))
+            polished.put(rough, again := self._polished(values[rough], lanes, begins, finer))
             away = np.linalg.norm(again.y[:, active] - guess[rough], axis=1)
             polished.verdicts[rough, _AWAY] = away / (1.0 + np.linalg.norm(again.y[:, active], axis=1))
         return polished
 
-    def _polished(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
-        if len(values) != 1:
-            return _BoundPolisher(self, len(values))(values, which, guess)
+    def _polished(self, values: Matrix, which: NDArray[np.int64], guess: Matrix, finer: int) -> Polished:
+        if len(values) != 1 or finer != 1:
+            return _BoundPolisher(self, len(values), finer)(values, which, guess)
         try:
             one = self._idle.pop()  # of one lane, which is asked again and again; pop and append are atomic
         except IndexError:
-            one = _BoundPolisher(self, 1)
+            one = _BoundPolisher(self, 1, 1)
         polished = one(values, which, guess).copy()
         self._idle.append(one)
         return polished
@@ -308,7 +315,7 @@ class Polisher:
 class _BoundPolisher:
     """Polish of a fixed number of lanes, bound to arrays."""
 
-    def __init__(self, own: Polisher, lanes: int) -> None:
+    def __init__(self, own: Polisher, lanes: int, finer: int) -> None:
         chart, plan = own.chart, own.chart.shooting.plan
         self._own, p = own, chart.p[None]
         sizes = len(chart.names), len(chart.active), plan.held, plan.columns.width, 1
@@ -320,9 +327,10 @@ class _BoundPolisher:
         self._flight = chart.shooting.bind(self._y, p, self._choice)
         self._advance = own.advance.bind(row, self._y, self._choice, self._course)
         whole, self._inverse = self._advance.outputs[2], row[:, plan.columns.inverse]
-        self._reflight = BoundReintegration(own.reflights, whole, p, self._choice, own.reflights.times)
+        times = [finer * times for times in own.reflights.times]
+        self._reflight = BoundReintegration(own.reflights, whole, p, self._choice, times)
         known = self._inverse, guess, reached, sides, *limits
-        self._judgement = own.judgement.bind(whole, self._choice, *self._reflight.rows, *known)
+        self._judgement = own.judgement.bind(whole, self._choice, *self._reflight.rows[:4], *known)
         self._going, self._close = self._advance.outputs[1][:, _GOING], self._advance.outputs[3][:, 0]
         self._poor, self._varied = self._judgement.outputs[1][:, _POOR], np.array(chart.varied_at)
         self._moves = bool(own.moving.any())

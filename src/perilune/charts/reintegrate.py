@@ -44,7 +44,7 @@ _FINER = 4  # times as many for a lane that misses something by as little as coa
 Arcs = tuple[NDArray[np.int64], tuple[int, ...]]  # lanes, and the modes that they go through in a phase
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ReintegratedExtremals:
     """Results of independent re-integrations, in lanes; canonical.
 
@@ -58,6 +58,8 @@ class ReintegratedExtremals:
         dJ/dq of each free parameter along the family of extremals, held or not, (lanes, k).
     ranges
         Value of each end condition that is a range, (lanes, r).
+    ends
+        States at the start of the flight, then at the end of each phase, (lanes, e).
     arcs
         (phase, lanes, modes that they go through in it) of all phases and lanes.
     """
@@ -66,12 +68,13 @@ class ReintegratedExtremals:
     shown: Matrix
     rates: Matrix
     ranges: Matrix
+    ends: Matrix
     arcs: tuple[tuple[int, NDArray[np.int64], tuple[int, ...]], ...]
 
     @property
-    def rows(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    def rows(self) -> tuple[Matrix, ...]:
         """Return all arrays but its arcs."""
-        return self.residuals, self.shown, self.rates, self.ranges
+        return self.residuals, self.shown, self.rates, self.ranges, self.ends
 
     @property
     def margins(self) -> MarchedMargins:
@@ -103,8 +106,7 @@ class ReintegratedExtremals:
 
     def copy(self) -> ReintegratedExtremals:
         """In arrays of its own."""
-        residuals, shown, rates, ranges = (array.copy() for array in self.rows)
-        return ReintegratedExtremals(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=self.arcs)
+        return ReintegratedExtremals(*(array.copy() for array in self.rows), arcs=self.arcs)
 
     def replace(self, lanes: NDArray[np.int64], by: ReintegratedExtremals) -> None:
         """Replace some flights by others of the same arcs.
@@ -376,5 +378,4 @@ class BoundReintegration:
         """Make the flights."""
         arcs = [(k, *arc) for k, leg in enumerate(self._legs) for arc in leg()]
         self._ended()
-        residuals, shown, rates, ranges = self.rows
-        return ReintegratedExtremals(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=tuple(arcs))
+        return ReintegratedExtremals(*self.rows, arcs=tuple(arcs))

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
         Quantity,
         TextField,
         check_values,
+        declared_parameters,
         parameter_name,
         quantity,
         record,

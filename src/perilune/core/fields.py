@@ -386,6 +386,11 @@ def record_of_values(kind: type[T], values: Mapping[str, Any]) -> T:
     return kind(**arguments)
 
 
+def declared_parameters(made: Any) -> set[str]:
+    """Return the names of the parameters that a record declares."""
+    return {f"{section_of(type(made))}_{name}" for name in record_keys(type(made))}
+
+
 def check_values(made: Any, parameters: Mapping[str, float]) -> None:
     """Raise PeriluneError if parameters that a record declares could not be its values; others are ignored.
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perilune.core import Vector
+from perilune.families.batch import Batch
 from perilune.families.family import Family
 from perilune.io import FlightColumn, cf_unit, display_unit, missing_package
 from perilune.problem import Solution
@@ -93,6 +94,55 @@ def family_dataset(family: Family) -> xarray.Dataset:
     variables |= {f.name: ((), f.values[0], _cf_attributes(f)) for f in given_fields(family) if f.name not in variables}
     about = {"problem": family.problem.name, "title": family.problem.heading, "notes": "; ".join(family.notes)}
     return xarray.Dataset(variables, coordinates, about)
+
+
+def batch_frame(batch: Batch) -> pandas.DataFrame:
+    """Make a frame with one row for each point: parameters, free parameters, results, J, outcome and level.
+
+    Raises
+    ------
+    PeriluneError
+        If pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise missing_package("a frame of pandas", "pandas") from None
+    found = _batch_fields(batch)
+    frame = pandas.DataFrame(
+        {**{f.name: f.values for f in found}, "outcome": pandas.Categorical(batch.outcomes), _LEVEL: batch.levels}
+    )
+    frame.attrs = {"problem": batch.problem.name, "units": {f.name: f.unit for f in found}}
+    return frame
+
+
+def batch_dataset(batch: Batch) -> xarray.Dataset:
+    """Make a data set with the dimension ``point``: parameters, free parameters, results, J, outcome and level.
+
+    Raises
+    ------
+    PeriluneError
+        If xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError:
+        raise missing_package("a data set of xarray", "xarray") from None
+    found = {f.name: ((POINT,), f.values, _cf_attributes(f)) for f in _batch_fields(batch)}
+    found |= {"outcome": ((POINT,), batch.outcomes, {}), _LEVEL: ((POINT,), batch.levels, {})}
+    return xarray.Dataset(found, attrs={"problem": batch.problem.name})
+
+
+def _batch_fields(batch: Batch) -> list[FlightColumn]:
+    problem, taken = batch.problem, batch.parameters
+    variables = [*problem.result_variables, *problem.phases[-1].end_output_variables]
+    about = {variable.name: (variable.unit, variable.description) for variable in variables}
+    return [
+        *(_field(name, problem.unit_of(name), batch.values[:, k], "", ()) for k, name in enumerate(taken)),
+        *(_field(name, problem.unit_of(name), values, "chosen", ()) for name, values in batch.free.items()),
+        *(_field(name, about[name][0], values, about[name][1], taken) for name, values in batch.results.items()),
+        _field("objective", problem.objective_unit, batch.objective, "J", (*taken, *batch.results)),
+    ]
 
 
 def grid_of(family: Family) -> np.ndarray | None:

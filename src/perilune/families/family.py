@@ -80,7 +80,12 @@ def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint
     error
         Refusal, proof of infeasibility, or failure of the search.
     """
-    return FamilyPoint(values=values, solution=None, message=str(error), failure=_FAILURES[error.exit_code])
+    return FamilyPoint(values=values, solution=None, message=str(error), failure=failure_outcome(error))
+
+
+def failure_outcome(error: PeriluneError) -> Outcome:
+    """Return the outcome that an error stands for."""
+    return _FAILURES[error.exit_code]
 
 
 @check_call

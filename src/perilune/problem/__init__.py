@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         trace_rates,
         trace_sides,
     )
+    from perilune.problem.checks import refused_rows
     from perilune.problem.controls import (
         Control,
         Regime,

@@ -12,10 +12,15 @@ from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
 from perilune.core import (
+    Matrix,
     PeriluneError,
     Scales,
     check_values,
+    declared_parameters,
     parse_unit,
     require_callable,
     require_row,
@@ -118,6 +123,34 @@ def check_given(problem: Any) -> None:
             _refuse_no_length(name, g.value)
     for record in problem.declared:
         check_values(record, vars(problem.parameters({})))
+
+
+def refused_rows(problem: Any, names: Sequence[str], values: Matrix) -> NDArray[np.bool_]:
+    """Return True for rows of values that `Problem.with_given` would refuse as they are no values of the parameters.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    names
+        Names of parameters, d of them.
+    values
+        Their values [SI], (rows, d), finite.
+    """
+    refused = np.zeros(len(values), dtype=bool)
+    for k, name in enumerate(names):
+        if name in problem.duration_names:
+            refused |= values[:, k] <= 0.0
+    own = vars(problem.parameters({}))
+    for declared in problem.declared:
+        if not any(parameter in declared_parameters(declared) for parameter in names):
+            continue
+        for i in np.nonzero(~refused)[0].tolist():
+            try:
+                check_values(declared, own | dict(zip(names, values[i].tolist(), strict=True)))
+            except PeriluneError:
+                refused[i] = True
+    return refused
 
 
 def _check_bound_units(problem: Any, bounded: Sequence[Any]) -> None:

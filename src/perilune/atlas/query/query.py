@@ -315,7 +315,7 @@ class Atlas(AtlasReader):
         problem, beside = self.problem, [o.polished for o in tried if o.charted is charted and o.polished is not None]
 
         def solution() -> Solution:
-            roots = [ExtremalRoot(root=charted.root(own), minimum=True) for own in beside]
+            roots = [ExtremalRoot(root=charted.root(*own.row(0)), minimum=True) for own in beside]
             statistics = Statistics(rung="atlas", iterations=steps, arcs=steps + 1)
             return charted.solution(with_given_unchecked(problem, values), roots, statistics)
 

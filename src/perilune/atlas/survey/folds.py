@@ -151,7 +151,7 @@ def classify_behind_folds(
     if not polished.reached[0]:
         return Nature.UNPROVED
     at = dict(zip(region.names, (values * charted.chart.scale).tolist(), strict=True))
-    root = ExtremalRoot(root=charted.root(polished), minimum=True)
+    root = ExtremalRoot(root=charted.root(*polished.row(0)), minimum=True)
     try:
         solution = charted.solution(problem.with_given(**at), [root], Statistics(rung="atlas"))
         told = [check for check in check_local_optimality(solution) if check.name in _TOLD_BY]

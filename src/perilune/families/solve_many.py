@@ -1,0 +1,222 @@
+"""`solve_many`: solve one problem at very many values of its parameters, each answer with a second flight.
+
+Points are reached from one known extremal in lanes of machine code (`perilune.charts`), and flown again by another
+integrator. What the lanes do not reach, as where the optimal flight has other arcs, is solved alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+
+import numpy as np
+
+from perilune.charts import PointExtremals, PointSolver, point_feasibility
+from perilune.core import (
+    Matrix,
+    NotConvergedError,
+    Outcome,
+    PeriluneError,
+    Vector,
+    Watch,
+    check_call,
+    ignore_events,
+    require_callable,
+    require_level,
+    require_type,
+)
+from perilune.families.batch import OUTCOMES, Batch
+from perilune.families.family import failure_outcome
+from perilune.families.points import Points, read_points
+from perilune.methods import Indirect
+from perilune.problem import LEVELS, Problem, Solution, refused_rows
+from perilune.solve import require_time_limit, solve
+from perilune.verify import verify as verify_solution
+
+_TOGETHER = 4096  # points in lanes at once, so that their numbers fit into a cache
+_OPEN = OUTCOMES.index(Outcome.INTERRUPTED)  # until there is another
+
+_UNREACHED = "the known solution does not lead there, and nothing else was tried (search=False)"
+
+
+@check_call
+def solve_many(
+    problem: Problem,
+    points: Points,
+    guess: Solution | None = None,
+    *,
+    verify: int = 0,
+    search: bool = True,
+    callback: Watch | None = None,
+    time_limit: float | None = None,
+) -> Batch:
+    """Solve a problem at many points, from one known solution.
+
+    At each point this is the best of the extremals to which the known one leads, with its bounds or with one held more
+    or less; `solve` searches anew for others. Each has been integrated independently and keeps bounds and path (level
+    0 of a batch); a point that the lanes do not reach is solved by `solve`, from nothing. The answer of a point is the
+    same to the last bit whatever others are asked for with it.
+
+    Parameters
+    ----------
+    problem
+        The problem; its own values of the parameters of `points` are not used, but for the known solution.
+    points
+        A list of points ``{name: value, ...}``, or the columns ``{name: values, ...}`` of a table, a frame of pandas or
+        a data set of xarray. Values are in SI; a name may end in a unit in brackets, ``"vehicle.thrust [kN]"``.
+    guess
+        The known solution, of this problem or a similar one; `solve` finds it if None.
+    verify
+        Verification level of each point, as of `perilune.solve.solve`. It takes much longer than the solving.
+    search
+        False to leave the points that the lanes do not reach unsolved: they may take a second each, or ten where
+        nothing can land.
+    callback
+        Receives lines of text, ``... of N points``.
+    time_limit
+        Of each point that is solved alone [s], as of `perilune.solve.solve`.
+
+    Returns
+    -------
+    Batch
+        In the order of the points. What was done before Ctrl-C, if it was pressed.
+
+    Raises
+    ------
+    PeriluneError
+        If the points are no table of parameters, or the problem has no known solution to begin with.
+    """
+    require_type(problem, Problem, "a problem to solve at many points")
+    require_level(verify, (0, *LEVELS))
+    require_callable(callback, "a callback")
+    require_type(search, bool, "a choice whether points are searched one by one")
+    limit, say = require_time_limit(time_limit, verify), callback or ignore_events
+    table = read_points(problem, points)
+    known = solve(problem, callback=callback) if guess is None else Indirect().run(problem, guess, say)
+    work = _Work(problem, table.names, table.values, known)
+    work.refuse(table.refused)
+    stopped = False
+    try:
+        work.screen()
+        work.solve_in_lanes(say)
+        if not search:
+            work.leave_unreached()
+        work.solve_alone(say, verify, limit)
+    except KeyboardInterrupt:
+        stopped = True
+    return work.batch(stopped)
+
+
+class _Work:
+    """Arrays of a batch while they are filled."""
+
+    def __init__(self, problem: Problem, names: tuple[str, ...], values: Matrix, known: Solution) -> None:
+        count = len(values)
+        self.problem, self.names, self.values, self.known = problem, names, values, known
+        self.codes, self.levels = np.full(count, _OPEN, dtype=np.int8), np.zeros(count, dtype=np.int8)
+        self.messages, self.alone = dict[int, str](), dict[int, Solution]()
+        self.solver: PointSolver | None = None
+        self.found: PointExtremals | None = None
+
+    def refuse(self, refused: Mapping[int, str]) -> None:
+        """Enter points that are refused, with the reason."""
+        self.messages.update(refused)
+        self.codes[list(refused)] = OUTCOMES.index(Outcome.REFUSED)
+
+    def screen(self) -> None:
+        """Refuse points whose values are none of the problem, or that physics forbids."""
+        left = np.nonzero(self.codes == _OPEN)[0]
+        refused = refused_rows(self.problem, self.names, self.values[left])
+        self.codes[left[refused]] = OUTCOMES.index(Outcome.REFUSED)
+        left = left[~refused]
+        if len(left):
+            allowed = point_feasibility(self.problem, self.names)(self.values[left])
+            self.codes[left[~allowed]] = OUTCOMES.index(Outcome.INFEASIBLE)
+
+    def solve_in_lanes(self, say: Callable[[str], None]) -> None:
+        """Solve what the lanes reach."""
+        left = np.nonzero(self.codes == _OPEN)[0]
+        try:
+            self.solver = PointSolver(self.problem, self.known, self.names)
+        except PeriluneError as error:
+            say(f"every point is solved alone: {error.what}")
+            return
+        self.found = self.solver.none(len(self.values))
+        for start in range(0, len(left), _TOGETHER):
+            some = left[start : start + _TOGETHER]
+            self.found.put(some, self.solver.solve(self.values[some]))
+            self.codes[some[self.found.found[some]]] = OUTCOMES.index(Outcome.SOLVED)
+            say(f"{min(start + _TOGETHER, len(left))} of {len(left)} points")
+
+    def leave_unreached(self) -> None:
+        """Enter the points that the lanes do not reach as not converged."""
+        left = np.nonzero(self.codes == _OPEN)[0]
+        self.codes[left] = OUTCOMES.index(Outcome.NOT_CONVERGED)
+        self.messages.update(dict.fromkeys(left.tolist(), _UNREACHED))
+
+    def solve_alone(self, say: Callable[[str], None], level: int, limit: float) -> None:
+        """Prove what the lanes found, where a level is asked for, and solve one by one what is left."""
+        solved = OUTCOMES.index(Outcome.SOLVED)
+        todo = np.nonzero((self.codes == _OPEN) | (self.codes == solved) & (level > 0))[0].tolist()
+        for number, i in enumerate(todo, 1):
+            say(f"{number} of {len(todo)} points {'proved or ' if level else ''}solved alone")
+            try:
+                problem = self.problem.with_given(**dict(zip(self.names, self.values[i].tolist(), strict=True)))
+                if self.codes[i] == solved and self._proves(problem, i, level):
+                    continue
+                solution = _solved_alone(problem, self.known, max(level, 1), limit)
+            except PeriluneError as error:
+                if self.codes[i] != solved:
+                    self.codes[i], self.messages[i] = OUTCOMES.index(failure_outcome(error)), str(error)
+                continue
+            proved = solution.outcome is Outcome.PROVED
+            self.alone[i], self.levels[i] = solution, solution.verification.level
+            self.codes[i] = solved if proved and not level else OUTCOMES.index(solution.outcome)
+
+    def _proves(self, problem: Problem, i: int, level: int) -> bool:
+        """Return True if what the lanes found at a point proves to the level; enter how far it does."""
+        assert self.solver is not None and self.found is not None
+        solution = verify_solution(self.solver.solution(problem, self.found, i), level)
+        self.codes[i], self.levels[i] = OUTCOMES.index(solution.outcome), solution.verification.level
+        return solution.outcome is Outcome.PROVED
+
+    def batch(self, stopped: bool) -> Batch:
+        """Return the arrays in SI."""
+        count, problem, alone = len(self.values), self.problem, list(self.alone)
+        free = {name: np.full(count, np.nan) for name in problem.free_names if name not in self.names}
+        objective, error_bound = np.full(count, np.nan), np.full(count, np.nan)
+        slopes, results = np.full(self.values.shape, np.nan), dict[str, Vector]()
+        if self.solver is not None and self.found is not None:
+            lanes = np.setdiff1d(np.nonzero(self.found.found)[0], alone)
+            objective[lanes] = self.found.cost[lanes] * problem.objective_size
+            slopes[lanes], error_bound[lanes] = self.found.slopes[lanes], self.found.error_bound[lanes]
+            for name, column in zip(free, self.solver.free(self.found)[lanes].T, strict=True):
+                free[name][lanes] = column
+            named = {name: column[lanes] for name, column in free.items()}
+            named |= {name: self.values[lanes, k] for k, name in enumerate(self.names)}
+            for name, column in self.solver.results(self.found, lanes, named).items():
+                results.setdefault(name, np.full(count, np.nan))[lanes] = column
+        for i, solution in self.alone.items():
+            objective[i] = solution.objective
+            for name, column in free.items():
+                column[i] = solution.free[name]
+            for name, column in results.items():
+                column[i] = float(found.value) if (found := solution.results.get(name)) is not None else np.nan
+        return Batch(
+            problem=problem, guess=self.known, parameters=self.names, values=self.values, codes=self.codes,
+            levels=self.levels, objective=objective, free=free, results=results, slopes=slopes,
+            error_bound=error_bound, interrupted=stopped, _messages=self.messages, _alone=self.alone,
+            _found=None if self.solver is None or self.found is None else (self.solver, self.found),
+        )  # fmt: skip
+
+
+def _solved_alone(problem: Problem, known: Solution, level: int, limit: float) -> Solution:
+    """Return the answer of a search from nothing, or that near the known solution where it finds none."""
+    try:
+        return solve(problem, verify=level, time_limit=limit)
+    except NotConvergedError:
+        with suppress(PeriluneError):
+            near = solve(problem, guess=known, verify=level, time_limit=limit)
+            if near.outcome is Outcome.PROVED:
+                return near
+        raise
