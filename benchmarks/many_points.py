@@ -25,7 +25,7 @@ CASES = {
     "hybrid_lander": ("vehicle_thrust", "vehicle_specific_impulse", "vehicle_mass"),
     "precision_landing": ("vehicle_thrust", "vehicle_specific_impulse"),
     "mars_pinpoint": ("vehicle_thrust", "vehicle_specific_impulse"),
-    "minimum_duration_return": ("vehicle_thrust", "vehicle_specific_impulse"),
+    "minimum_duration_return": ("vehicle_thrust", "vehicle_mass"),
 }
 
 
