@@ -81,16 +81,21 @@ class SheetLattice:
         self._known: list[dict[tuple[float, ...], LatticeNodes]] = [{} for _ in range(levels)]
         self._edges = [_EDGE * _FINER**level * open_chart.chart.widths for level in range(levels)]
 
+    def nearest(self, values: Matrix, level: int) -> Matrix:
+        """Return the values of the parameters at the node of a level next to each of some, canonical, (lanes, d)."""
+        start, edges = self._first.values, self._edges[level]
+        return start + np.rint((values - start) / edges) * edges
+
     def __call__(self, values: Matrix, level: int = 0) -> LatticeNodes:
         """Return the node of a level nearest to each of some values of the parameters, canonical, (lanes, d)."""
-        known, start, edges = self._known[level], self._first.values, self._edges[level]
-        places, which = np.unique(np.rint((values - start) / edges), axis=0, return_inverse=True)
+        known = self._known[level]
+        places, which = np.unique(self.nearest(values, level), axis=0, return_inverse=True)
         keys = [tuple(place) for place in places.tolist()]
         if len(known) + len(keys) > _KEPT:
             known.clear()
         new = [i for i, key in enumerate(keys) if key not in known]
         if new:
-            found = self._found(start + places[new] * edges, level)
+            found = self._found(places[new], level)
             known.update({keys[i]: found.of(np.array([k])) for k, i in enumerate(new)})
         return LatticeNodes.joined([known[key] for key in keys]).of(which.reshape(-1))
 

@@ -65,6 +65,10 @@ class PointExtremals:
     error_bound: Vector
     steps: Vector
 
+    def of(self, lanes: Lanes) -> PointExtremals:
+        """Return some of the lanes."""
+        return PointExtremals(**{f.name: getattr(self, f.name)[lanes] for f in fields(self)})
+
     def put(self, lanes: Lanes, by: PointExtremals) -> None:
         """Replace lanes by better extremals that another result found there.
 
@@ -178,6 +182,11 @@ class PointSolver:
             error_bound=polished.bound.copy(), steps=polished.steps.copy(),
         )  # fmt: skip
 
+    def nearest_nodes(self, points: Matrix) -> Matrix:
+        """Return the coarsest node of the lattice next to each of some points [SI], (lanes, d)."""
+        scale = self.open.chart.scale
+        return self._lattices[0].nearest(points / scale, 0) * scale
+
     def none(self, count: int) -> PointExtremals:
         """Return arrays for so many points, of which none is found."""
         plan, d = self.open.chart.shooting.plan, len(self.open.chart.names)
@@ -195,19 +204,19 @@ class PointSolver:
         """Return the free parameters of the user's problem that do not vary [SI], (lanes, k)."""
         return self.open.free(found.y)
 
-    def results(self, found: PointExtremals, lanes: Lanes, parameters: Mapping[str, Vector]) -> dict[str, Vector]:
-        """Return the results of some lanes that depend on the ends of the flight only, by name [SI], (lanes,) each.
+    def results(self, found: PointExtremals, parameters: Mapping[str, Vector]) -> dict[str, Vector]:
+        """Return the results that depend on the ends of the flight only, by name [SI], (lanes,) each.
 
         Parameters
         ----------
-        found, lanes
-            Extremals, and the numbers of those that are asked for.
+        found
+            Extremals, all of them found.
         parameters
             Values of free and varied parameters there [SI], (lanes,) each.
         """
         problem, phases = self.open.chart.user, self._phases
         scale = np.concatenate([state_scales(self.open.chart.problem, phase) for phase in (phases[0], *phases)])
-        states = (found.ends[lanes] * scale).T
+        states = (found.ends * scale).T
         first, last = states[: len(phases[0].states)], states[-len(phases[-1].states) :]
         p = SimpleNamespace(**{**{name: given.value for name, given in problem.given.items()}, **parameters})
         ends = [problem.phases[i].state_record(*x) for i, x in ((0, first), (-1, last))]
@@ -219,7 +228,7 @@ class PointSolver:
                 (problem.phases[-1].end_output_variables, problem.phases[-1].evaluate("end_outputs", last, (), p))
             )
         return {
-            variable.name: np.broadcast_to(np.asarray(value, dtype=float), len(lanes))
+            variable.name: np.broadcast_to(np.asarray(value, dtype=float), len(found.cost))
             for variables, values in told
             for variable, value in zip(variables, values, strict=True)
         }

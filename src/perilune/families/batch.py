@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,29 @@ if TYPE_CHECKING:
     import xarray
 
 OUTCOMES = tuple(Outcome)  # an outcome of a batch is its place here
+
+
+@dataclass(frozen=True)
+class BatchPart:
+    """Points that were reached from one solution: its solver, their numbers in order, and their extremals."""
+
+    solver: PointSolver
+    points: NDArray[np.int64]
+    found: PointExtremals
+
+
+def solution_in_parts(parts: Sequence[BatchPart], problem: Problem, point: int) -> Solution:
+    """Return the extremal of a point of a batch as a solution.
+
+    Parameters
+    ----------
+    parts
+        Parts of the batch, one of which has the point.
+    problem, point
+        Problem of the point, and its number.
+    """
+    part = next(part for part in parts if point in part.points)
+    return part.solver.solution(problem, part.found, int(np.searchsorted(part.points, point)))
 
 
 @check_call
@@ -63,7 +86,7 @@ class Batch:
     interrupted: bool = False
     _messages: Mapping[int, str] = field(default_factory=dict)
     _alone: Mapping[int, Solution] = field(default_factory=dict)
-    _found: tuple[PointSolver, PointExtremals] | None = None
+    _parts: Sequence[BatchPart] = ()
 
     def __repr__(self) -> str:
         stopped = ", interrupted" if self.interrupted else ""
@@ -89,12 +112,17 @@ class Batch:
 
     def problem_of(self, point: int) -> Problem:
         """Return the problem of a point, whose values its records may refuse."""
+        values = self.values[self._number(point)].tolist()
+        return self.problem.with_given(**dict(zip(self.parameters, values, strict=True)))
+
+    def _number(self, point: int) -> int:
+        """Return the number of a point, which may count from the end."""
         require_index(point, len(self), "a point")
-        return self.problem.with_given(**dict(zip(self.parameters, self.values[point].tolist(), strict=True)))
+        return point % len(self)
 
     def message(self, point: int) -> str:
         """Return why a point has no answer, in words; empty where it has one."""
-        require_index(point, len(self), "a point")
+        point = self._number(point)
         if point in self._messages or self.solved[point]:
             return self._messages.get(point, "")
         try:
@@ -111,13 +139,12 @@ class Batch:
         PeriluneError
             If the point has no answer; the message says why.
         """
-        problem = self.problem_of(point)
+        problem, point = self.problem_of(point), self._number(point)
         if point in self._alone:
             return self._alone[point]
-        if not self.solved[point] or self._found is None:
+        if not self.solved[point]:
             raise PeriluneError(f"point {point} has no solution", got=self.message(point), expected="a solved point")
-        solver, found = self._found
-        return solver.solution(problem, found, point)
+        return solution_in_parts(self._parts, problem, point)
 
     @check_call
     def to_dataframe(self) -> pandas.DataFrame:

@@ -10,8 +10,9 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 import numpy as np
+from numpy.typing import NDArray
 
-from perilune.charts import PointExtremals, PointSolver, point_feasibility
+from perilune.charts import PointSolver, point_feasibility
 from perilune.core import (
     Matrix,
     NotConvergedError,
@@ -25,7 +26,7 @@ from perilune.core import (
     require_level,
     require_type,
 )
-from perilune.families.batch import OUTCOMES, Batch
+from perilune.families.batch import OUTCOMES, Batch, BatchPart, solution_in_parts
 from perilune.families.family import failure_outcome
 from perilune.families.points import Points, read_points
 from perilune.methods import Indirect
@@ -54,8 +55,9 @@ def solve_many(
 
     At each point this is the best of the extremals to which the known one leads, with its bounds or with one held more
     or less; `solve` searches anew for others. Each has been integrated independently and keeps bounds and path (level
-    0 of a batch); a point that the lanes do not reach is solved by `solve`, from nothing. The answer of a point is the
-    same to the last bit whatever others are asked for with it.
+    0 of a batch). Where the known one does not lead, `solve` solves a point of a lattice near by, from which the same
+    is done, and then the point itself. The answer of a point is the same to the last bit whatever others are asked for
+    with it.
 
     Parameters
     ----------
@@ -99,7 +101,9 @@ def solve_many(
     try:
         work.screen()
         work.solve_in_lanes(say)
-        if not search:
+        if search:
+            work.solve_around_nodes(say, limit)
+        else:
             work.leave_unreached()
         work.solve_alone(say, verify, limit)
     except KeyboardInterrupt:
@@ -115,8 +119,7 @@ class _Work:
         self.problem, self.names, self.values, self.known = problem, names, values, known
         self.codes, self.levels = np.full(count, _OPEN, dtype=np.int8), np.zeros(count, dtype=np.int8)
         self.messages, self.alone = dict[int, str](), dict[int, Solution]()
-        self.solver: PointSolver | None = None
-        self.found: PointExtremals | None = None
+        self.parts = list[BatchPart]()
 
     def refuse(self, refused: Mapping[int, str]) -> None:
         """Enter points that are refused, with the reason."""
@@ -134,19 +137,47 @@ class _Work:
             self.codes[left[~allowed]] = OUTCOMES.index(Outcome.INFEASIBLE)
 
     def solve_in_lanes(self, say: Callable[[str], None]) -> None:
-        """Solve what the lanes reach."""
-        left = np.nonzero(self.codes == _OPEN)[0]
+        """Solve what the lanes reach from the known solution."""
         try:
-            self.solver = PointSolver(self.problem, self.known, self.names)
+            solver = PointSolver(self.problem, self.known, self.names)
         except PeriluneError as error:
             say(f"every point is solved alone: {error.what}")
             return
-        self.found = self.solver.none(len(self.values))
-        for start in range(0, len(left), _TOGETHER):
-            some = left[start : start + _TOGETHER]
-            self.found.put(some, self.solver.solve(self.values[some]))
-            self.codes[some[self.found.found[some]]] = OUTCOMES.index(Outcome.SOLVED)
-            say(f"{min(start + _TOGETHER, len(left))} of {len(left)} points")
+        self._solve_part(solver, np.nonzero(self.codes == _OPEN)[0], say)
+
+    def solve_around_nodes(self, say: Callable[[str], None], limit: float) -> None:
+        """Solve nodes of the lattice around the known solution anew, and from each the points near it that are left.
+
+        So points at which the best flight has other arcs are solved together too.
+        """
+        left = np.nonzero(self.codes == _OPEN)[0]
+        if not (len(left) and self.parts):
+            return
+        nodes, which = np.unique(self.parts[0].solver.nearest_nodes(self.values[left]), axis=0, return_inverse=True)
+        for number, node in enumerate(nodes):
+            say(f"{number + 1} of {len(nodes)} neighbourhoods of points that the known solution does not lead to")
+            try:
+                problem = self._problem_at(node)
+                known = solve(problem, verify=1, time_limit=limit)
+                solver = PointSolver(problem, known, self.names)
+            except PeriluneError:
+                continue
+            if known.outcome is Outcome.PROVED:
+                self._solve_part(solver, left[which.reshape(-1) == number], ignore_events)
+
+    def _solve_part(self, solver: PointSolver, lanes: NDArray[np.int64], say: Callable[[str], None]) -> None:
+        """Solve points from the solution of a solver, and enter what it finds."""
+        for start in range(0, len(lanes), _TOGETHER):
+            some = lanes[start : start + _TOGETHER]
+            found = solver.solve(self.values[some])
+            its = np.nonzero(found.found)[0]
+            self.codes[some[its]] = OUTCOMES.index(Outcome.SOLVED)
+            if len(its) or not self.parts:
+                self.parts.append(BatchPart(solver, some[its], found.of(its)))
+            say(f"{min(start + _TOGETHER, len(lanes))} of {len(lanes)} points")
+
+    def _problem_at(self, values: Vector) -> Problem:
+        return self.problem.with_given(**dict(zip(self.names, values.tolist(), strict=True)))
 
     def leave_unreached(self) -> None:
         """Enter the points that the lanes do not reach as not converged."""
@@ -161,7 +192,7 @@ class _Work:
         for number, i in enumerate(todo, 1):
             say(f"{number} of {len(todo)} points {'proved or ' if level else ''}solved alone")
             try:
-                problem = self.problem.with_given(**dict(zip(self.names, self.values[i].tolist(), strict=True)))
+                problem = self._problem_at(self.values[i])
                 if self.codes[i] == solved and self._proves(problem, i, level):
                     continue
                 solution = _solved_alone(problem, self.known, max(level, 1), limit)
@@ -175,8 +206,7 @@ class _Work:
 
     def _proves(self, problem: Problem, i: int, level: int) -> bool:
         """Return True if what the lanes found at a point proves to the level; enter how far it does."""
-        assert self.solver is not None and self.found is not None
-        solution = verify_solution(self.solver.solution(problem, self.found, i), level)
+        solution = verify_solution(solution_in_parts(self.parts, problem, i), level)
         self.codes[i], self.levels[i] = OUTCOMES.index(solution.outcome), solution.verification.level
         return solution.outcome is Outcome.PROVED
 
@@ -186,27 +216,29 @@ class _Work:
         free = {name: np.full(count, np.nan) for name in problem.free_names if name not in self.names}
         objective, error_bound = np.full(count, np.nan), np.full(count, np.nan)
         slopes, results = np.full(self.values.shape, np.nan), dict[str, Vector]()
-        if self.solver is not None and self.found is not None:
-            lanes = np.setdiff1d(np.nonzero(self.found.found)[0], alone)
-            objective[lanes] = self.found.cost[lanes] * problem.objective_size
-            slopes[lanes], error_bound[lanes] = self.found.slopes[lanes], self.found.error_bound[lanes]
-            for name, column in zip(free, self.solver.free(self.found)[lanes].T, strict=True):
+        for part in self.parts:
+            its = np.nonzero(~np.isin(part.points, alone))[0]
+            lanes, found = part.points[its], part.found.of(its)
+            objective[lanes] = found.cost * problem.objective_size
+            slopes[lanes], error_bound[lanes] = found.slopes, found.error_bound
+            for name, column in zip(free, part.solver.free(found).T, strict=True):
                 free[name][lanes] = column
             named = {name: column[lanes] for name, column in free.items()}
             named |= {name: self.values[lanes, k] for k, name in enumerate(self.names)}
-            for name, column in self.solver.results(self.found, lanes, named).items():
+            for name, column in part.solver.results(found, named).items():
                 results.setdefault(name, np.full(count, np.nan))[lanes] = column
         for i, solution in self.alone.items():
             objective[i] = solution.objective
             for name, column in free.items():
                 column[i] = solution.free[name]
-            for name, column in results.items():
-                column[i] = float(found.value) if (found := solution.results.get(name)) is not None else np.nan
+            for name, result in solution.results.items():
+                if name in results or not self.parts:
+                    results.setdefault(name, np.full(count, np.nan))[i] = float(result.value)
         return Batch(
             problem=problem, guess=self.known, parameters=self.names, values=self.values, codes=self.codes,
             levels=self.levels, objective=objective, free=free, results=results, slopes=slopes,
             error_bound=error_bound, interrupted=stopped, _messages=self.messages, _alone=self.alone,
-            _found=None if self.solver is None or self.found is None else (self.solver, self.found),
+            _parts=self.parts,
         )  # fmt: skip
 
 
