@@ -17,9 +17,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from perilune.core import NUMERIC
+from perilune.models import Triple
 from perilune.models.deorbit.dynamics import path_angle, position_vector, velocity_vector
 from perilune.models.physics import ellipsoid
-from perilune.models.physics.rotating_frame import Triple
 from perilune.problem import Phase, Problem
 
 BURNS = 16  # lengths that are tried

@@ -51,7 +51,7 @@ from perilune.charts.reintegrate import ChartReintegration
 from perilune.charts.sheet import Sheet
 from perilune.cli import run_command_line
 from perilune.core import InfeasibleError, NotConvergedError, Outcome, PeriluneError
-from perilune.io import comparisons_document, read_comparisons, same_comparisons
+from perilune.io.presolve_json import comparisons_document, read_comparisons, same_comparisons
 from perilune.kernels import compile_map
 from perilune.problem import Finding, Nature, Problem
 from perilune.scenario import load_file

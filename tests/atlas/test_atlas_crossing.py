@@ -250,7 +250,7 @@ def test_a_bound_that_goes_and_comes_back_inside_a_cell_is_where_it_is_at_the_po
     base = priced(lambda p, xp: 0.5 * p.q * (0.8 - p.q) + 0.0 * p.a)
     problem = replace(base, parameter_bounds=lambda p, xp: {"q": (0.0, upper(p, xp), 0.5)})
     monkeypatch.setattr(building, "refuse_moving_ranges", lambda *_: None)  # a model's are kept with its records
-    monkeypatch.setattr(read, "header_problem", lambda *_: problem)
+    monkeypatch.setattr(read, "read_problem", lambda *_: problem)
     atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=1))
     a = np.linspace(0.2, 0.4, 60)
     found, most = atlas.query_many(a[:, None]), upper(SimpleNamespace(a=a), np)

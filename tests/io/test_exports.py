@@ -24,7 +24,8 @@ from perilune.io.exports.epochs import stamp
 from perilune.io.exports.inertial_path import LOST, InertialLeg, legs
 from perilune.io.exports.table import flight_table
 from perilune.io.exports.tabular import write_netcdf
-from perilune.models import MARS, MOON, Body, Orbit, Vehicle, hybrid_landing, leap_seconds_within
+from perilune.io.exports.time_scales import leap_seconds_within
+from perilune.models import MARS, MOON, Body, Orbit, Vehicle, hybrid_landing
 from perilune.problem import Solution
 from perilune.scenario import load_file
 

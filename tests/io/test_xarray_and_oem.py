@@ -21,7 +21,7 @@ from command_line import ROOT
 from perilune.io.columns import node_times, phase_columns, times_around_switches
 from perilune.io.exports.epochs import TICK
 from perilune.io.exports.inertial_path import JUMP, legs, separate_jumps
-from perilune.models import axes_in_space
+from perilune.io.exports.orientation import axes_in_space
 from perilune.problem import Solution
 from perilune.scenario import load_file, load_text
 

@@ -18,7 +18,6 @@ from perilune.models.deorbit.dynamics import entry_rates
 from perilune.models.physics import aerodynamics, ellipsoid
 from perilune.models.physics.aerodynamics import sphere_cone_drag_area
 from perilune.models.physics.atmosphere import exponential
-from perilune.models.physics.flight_path import FlightPath, flight_path, flight_path_rates, path_axes, to_cartesian
 from perilune.models.physics.rotating_frame import (
     combine,
     free_acceleration,
@@ -28,6 +27,7 @@ from perilune.models.physics.rotating_frame import (
     zonal_gravity,
 )
 from perilune.problem import SYMBOLIC
+from perilune_papers.liu2019.flight_path import FlightPath, flight_path, flight_path_rates, path_axes, to_cartesian
 
 AXIS = (0.0, 0.0, 1.0)
 MU, RADIUS, TURN, J2 = 3.986004418e14, 6378137.0, 7.292115e-5, 1.08262668e-3

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.charts.arc_sequence import PLAIN, ArcSequence
+from perilune.charts.parametric import parametric_problem, sizes_of
 from perilune.conditions import OptimalityConditions, derive, extremal_parameters
 from perilune.core import Matrix, Vector
-from perilune.problem import Problem, parametric_problem, sizes_of
+from perilune.problem import Problem
 from perilune.shooting import FINEST, Roots, Shooting
 
 

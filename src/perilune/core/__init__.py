@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from perilune.core.column_headings import TableHeading, table_heading, unit_as_written
     from perilune.core.complex_step import COMPLEX, STEP, complex_step_jacobian, stack_broadcast
     from perilune.core.datetimes import END, EXAMPLE, instant
-    from perilune.core.delimited_text import CellRow, DelimitedTable, TextLine, delimited_table
     from perilune.core.deprecation import (
         Asked,
         RenamedAttribute,
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
         rewritten_keywords,
         warn_renamed,
     )
-    from perilune.core.equality import equal_fields
     from perilune.core.errors import (
         BEST_MISSES,
         CANNOT_BE_FLOWN,
@@ -94,6 +92,7 @@ if TYPE_CHECKING:
         require_type,
         wrong_type_error,
     )
+
 else:
     from perilune.core.facade import lazy_face
 

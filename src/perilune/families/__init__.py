@@ -13,7 +13,7 @@ if TYPE_CHECKING:
         run_calls,
     )
     from perilune.families.export_frames import grid_of, member_quantities, result_fields
-    from perilune.families.family import Family, FamilyPoint
+    from perilune.families.family import Family
     from perilune.families.store import MANIFEST, clear_family
 else:
     from perilune.core import lazy_face

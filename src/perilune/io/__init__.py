@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from perilune.io.exports.writing import export_target, require_object, write_export
     from perilune.io.format import LARGEST_FILE, SOLUTION_FILE, hash_of
     from perilune.io.json_checks import array, enumeration_member, part, refuse_entry, short_text, tree
-    from perilune.io.load import claims_of, load_with_tree, read_answer, read_problem, read_trajectories, reread_problem
-    from perilune.io.presolve_json import comparisons_document, read_comparisons, same_comparisons
+    from perilune.io.load import claims_of, load_with_tree, read_answer, read_trajectories
+    from perilune.io.problem_document import read_problem, reread_problem
     from perilune.io.save import (
         answer_document,
         extremals_document,
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
         results_document,
         solution_document,
         solution_files,
-        stated_problem_document,
         whole_document,
         write_solution_files,
     )

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ import numpy as np
 from perilune.core import (
     Outcome,
     PeriluneError,
-    UnknownKindError,
     bounded_text,
     check_call,
     one_line,
@@ -33,8 +31,6 @@ from perilune.io.format import (
     KNOWN_VERSIONS,
     LARGEST_FILE,
     SOLUTION_FILE,
-    WITH_SCENARIO_ONLY,
-    hash_of,
 )
 from perilune.io.json_checks import (
     MOST_ENTRIES,
@@ -47,14 +43,13 @@ from perilune.io.json_checks import (
     tree,
     valued_numbers,
 )
-from perilune.io.problem_json import read_physics
+from perilune.io.problem_document import read_problem, unaltered_scenario
 from perilune.problem import (
     LEVEL_NAMES,
     Curve,
     Extremal,
     NamedArc,
     Nature,
-    Parameter,
     Phase,
     Problem,
     Solution,
@@ -68,7 +63,6 @@ from perilune.problem import (
 )
 
 MOST_NODES = 100_000
-_ROUNDING = 1e-12  # relative, between the numbers of a scenario and those beside it
 
 
 @check_call
@@ -134,7 +128,7 @@ def load_with_tree(
 def claims_of(document: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
     """Return the unverified claims of a file: the text of its scenario, and versions of programs."""
     told = {one_line(str(name)): one_line(str(v)) for name, v in part(document, "versions", dict).items()}
-    return "" if document.get("scenario") is None else _scenario_text(document), told
+    return "" if document.get("scenario") is None else unaltered_scenario(document), told
 
 
 def _claimed_verification(document: Mapping[str, Any]) -> str:
@@ -221,101 +215,6 @@ def _solution_tree(path: Path) -> dict[str, Any]:
             advice="solve again with --out",
         )
     return document
-
-
-def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
-    """Build the problem by its scenario or its model, if any, which must agree with the expressions.
-
-    The problem is built from the expressions only if the package that brings its kind is not installed.
-
-    Parameters
-    ----------
-    document
-        Tree of a saved solution, or of anything with the entries of `perilune.io.save.stated_problem_document`.
-    problem_from_scenario
-        Makes the problem of a scenario's text.
-
-    Raises
-    ------
-    PeriluneError
-        If an entry is not valid, or scenario or model and the expressions differ.
-    """
-    alone = document["format"]["version"] == WITH_SCENARIO_ONLY and document["format"]["name"] == FORMAT_NAME
-    stated = None
-    try:
-        if document.get("scenario") is not None:
-            stated = problem_from_scenario(_scenario_text(document))
-    except UnknownKindError:
-        if alone:
-            raise
-    if alone:
-        stated = stated or part(document, "scenario", dict)
-        _check_saved_given(document, stated)
-        return stated
-    entries, values = part(document, "given", dict), valued_numbers(document, "given")
-    given = {name: Parameter(value=value, unit=short_text(entries[name], "unit")) for name, value in values.items()}
-    source = "scenario"
-    if stated is not None:
-        _check_saved_given(document, stated)
-    elif document.get("made") is not None:
-        from perilune.io.model_records import read_model
-
-        source = "model"
-        with suppress(UnknownKindError):
-            stated = read_model(part(document, "made", dict), given)
-    written = read_physics(part(document, "problem", dict), given)
-    if stated is None:
-        return written
-    if stated.form != written.form or not _equal_but_rounding(stated.numbers, written.numbers):
-        raise PeriluneError(
-            f"the {source} in the saved solution and its stored expressions state different problems",
-            got=f"expressions with digest {written.form.digest[:16]}",
-            expected=f"{stated.form.digest[:16]} and the numbers of the {source}",
-            advice=f"solve the {source} again: the file was altered, or written by a version with different models",
-        )
-    return stated
-
-
-def reread_problem(document: Mapping[str, Any]) -> Problem:
-    """Build the problem of a document that `perilune.io.save.stated_problem_document` made without a scenario."""
-    return read_problem({**document, "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION}}, _no_scenario)
-
-
-def _no_scenario(_: str) -> Problem:
-    raise AssertionError("a document made without a scenario has none")
-
-
-def _equal_but_rounding(one: Any, other: Any) -> bool:
-    """Return True if two trees of names and numbers are equal to rounding."""
-    if isinstance(one, tuple) and isinstance(other, tuple):
-        return len(one) == len(other) and all(map(_equal_but_rounding, one, other))
-    if isinstance(one, float | int) and isinstance(other, float | int):
-        return math.isclose(one, other, rel_tol=_ROUNDING, abs_tol=0.0)
-    return one == other
-
-
-def _scenario_text(document: Mapping[str, Any]) -> str:
-    scenario = part(document, "scenario", dict)
-    said = part(scenario, "text", str)
-    found = hash_of(said)
-    if found != scenario.get("sha256"):
-        raise PeriluneError(
-            "the scenario in the saved solution was altered",
-            got=f"text with SHA-256 {found[:16]}…",
-            expected=f"{str(scenario.get('sha256'))[:16]}…",
-            advice="solve the altered scenario again",
-        )
-    return said
-
-
-def _check_saved_given(document: Mapping[str, Any], problem: Problem) -> None:
-    """Refuse a file whose parameters differ from those of its scenario."""
-    saved = valued_numbers(document, "given")
-    for name, given in problem.given.items():
-        if name not in saved or not math.isclose(saved[name], given.value, rel_tol=_ROUNDING, abs_tol=0.0):
-            refuse_entry(f"given.{name}", str(saved.get(name, "none")), f"{given.value!r}, as in the scenario")
-    if extra := set(saved) - set(problem.given):
-        refuse_entry("given", ", ".join(sorted(extra)), "only parameters that the scenario gives")
 
 
 def read_trajectories(document: Mapping[str, Any], problem: Problem) -> tuple[Trajectory, ...]:

@@ -37,9 +37,9 @@ from perilune.problem import (
     ScalarControl,
     UnitVectorControl,
     Variable,
-    Views,
     named_variables,
     roles_of,
+    views,
     written_key,
 )
 
@@ -195,20 +195,20 @@ def _unread_dynamics(*arguments: Any) -> None:
     """Stand in for the dynamics until they are read."""
 
 
-def _read_views(document: Mapping[str, Any]) -> Views:
+def _read_views(document: Mapping[str, Any]) -> views.Views:
     """Read views, whose texts are checked to be harmless when formatted and as file names."""
-    views = checked_record(Views, document.get("views"), "problem.views")
-    for history in views.histories:
+    found = checked_record(views.Views, document.get("views"), "problem.views")
+    for history in found.histories:
         if not _NAME.fullmatch(history.name):
             refuse_entry("problem.views.histories", repr(history.name[:40]), "names of letters, digits, _ and -")
     try:
-        fields_of_label = list(Formatter().parse(views.label))
+        fields_of_label = list(Formatter().parse(found.label))
     except ValueError:
-        refuse_entry("problem.views.label", views.label[:40], "a text with {name:format}")
+        refuse_entry("problem.views.label", found.label[:40], "a text with {name:format}")
     for _, name, spec, conversion in fields_of_label:
         if name is not None and (conversion or not _SPEC.fullmatch(spec or "")):
-            refuse_entry("problem.views.label", views.label[:40], "formats such as {name:.1f}")
-    return views
+            refuse_entry("problem.views.label", found.label[:40], "formats such as {name:.1f}")
+    return found
 
 
 class _DocumentFunctions:

@@ -23,13 +23,12 @@ from perilune import __version__ as perilune_version
 from perilune.core import PeriluneError, check_call, require_type, wrong_type_error
 from perilune.io.atomic_files import finite, fresh_directory, json_text, refuse_unwritten, write_each
 from perilune.io.columns import per_unit, phase_columns, round_degrees
-from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
-from perilune.io.problem_json import physics_document
+from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE
+from perilune.io.problem_document import stated_problem_document
 from perilune.problem import (
     Check,
     Curve,
     Phase,
-    Problem,
     ScalarControl,
     Solution,
     Trajectory,
@@ -249,33 +248,6 @@ def whole_document(solution: Solution, scenario_text: str | None = None) -> dict
         **answer_document(solution),
         "phases": phases_document(solution),
     }
-
-
-def stated_problem_document(problem: Problem, scenario_text: str | None = None) -> dict[str, Any]:
-    """Return a problem as a tree from which `perilune.io.load.read_problem` makes it again, however it was stated.
-
-    Parameters
-    ----------
-    problem
-        Problem to save.
-    scenario_text
-        Text of the scenario that states it; None without one.
-    """
-    scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
-    return {
-        "scenario": scenario,
-        "made": _model_document_or_none(problem) if scenario is None else None,
-        "problem": physics_document(problem),
-        "given": {name: {"value": g.value, "unit": g.unit} for name, g in problem.given.items()},
-    }
-
-
-def _model_document_or_none(problem: Problem) -> dict[str, Any] | None:
-    if not problem.declared:
-        return None
-    from perilune.io.model_records import model_document  # and with it all models, which an own problem has no use for
-
-    return model_document(problem)
 
 
 def answer_document(solution: Solution) -> dict[str, Any]:

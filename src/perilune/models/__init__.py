@@ -48,16 +48,8 @@ if TYPE_CHECKING:
         matching_known_body,
         recognise_body,
     )
-    from perilune.models.physics.flight_path import (
-        FlightPath,
-        flight_path,
-        flight_path_rates,
-        gravity_components,
-        path_axes,
-        to_cartesian,
-    )
-    from perilune.models.physics.orientation import axes_in_space, describe_orientation
     from perilune.models.physics.rotating_frame import (
+        Triple,
         combine,
         cross_product,
         free_acceleration,
@@ -66,7 +58,6 @@ if TYPE_CHECKING:
         scalar_product,
         spherical_coordinates,
     )
-    from perilune.models.physics.time_scales import leap_seconds_within, utc_after
     from perilune.models.physics.vehicle import Retro, Throttle, Vehicle
     from perilune.models.precision.final_descent import FinalDescent
     from perilune.models.precision.path_constraints import Corridor

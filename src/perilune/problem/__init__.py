@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         scalars,
         tangents,
     )
+    from perilune.problem.display import views
     from perilune.problem.display.quantity_names import (
         end_text,
         free_name,
@@ -47,21 +48,9 @@ if TYPE_CHECKING:
         quantity_name,
         stating_keys,
     )
-    from perilune.problem.display.views import (
-        Beside,
-        Corridor,
-        Dispersion,
-        Disturbance,
-        Ground,
-        History,
-        Space,
-        ValidRange,
-        Views,
-    )
     from perilune.problem.initial_guess import fitting_guess, guess
     from perilune.problem.named_values import PAIRS, Conditions, Quantities, named_variables
     from perilune.problem.parameters import given_of
-    from perilune.problem.parametric import parametric_problem, sizes_of
     from perilune.problem.perturbed import (
         fix_free_parameters,
         is_neighbour,
@@ -115,6 +104,7 @@ if TYPE_CHECKING:
     from perilune.problem.tracing.traced_problem import OWN_TEXT, PHASE_FUNCTIONS, TracedProblem, roles_of, written_key
     from perilune.problem.variables import FreeParameter, Parameter, Variable
     from perilune.problem.verification import LEVEL_NAMES, LEVELS, THEOREM, Check, Verification, format_failed_checks
+
 else:
     from perilune.core import lazy_face
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from perilune.core import Matrix
 from perilune.io import display_times, phase_columns
-from perilune.problem import Corridor, Solution
+from perilune.problem import Solution, views
 from perilune.report.style import BLUE, GREEN, VERMILION, legend_above, new_figure, styled
 from perilune.report.time_histories import axis_text
 
@@ -24,7 +24,7 @@ _LINES = 5  # of each quantity
 
 
 @styled
-def corridor_figure(solution: Solution, shown: Corridor) -> Figure:
+def corridor_figure(solution: Solution, shown: views.Corridor) -> Figure:
     """Draw the path of each phase that has the quantities, and lines of round values of `shown.equal`.
 
     Parameters
@@ -65,7 +65,7 @@ def corridor_figure(solution: Solution, shown: Corridor) -> Figure:
     return figure
 
 
-def _outputs_on_grid(solution: Solution, k: int, shown: Corridor, height: Any, speed: Any) -> dict[str, Matrix]:
+def _outputs_on_grid(solution: Solution, k: int, shown: views.Corridor, height: Any, speed: Any) -> dict[str, Matrix]:
     """Evaluate outputs of phase k over its heights and speeds."""
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
     x, u = solution.evaluate(k, np.array([0.5 * trajectory.duration]))
@@ -89,7 +89,7 @@ def _outputs_on_grid(solution: Solution, k: int, shown: Corridor, height: Any, s
 
 
 def _labelled(
-    grid: dict[str, Matrix], shown: Corridor, values: Matrix, levels: list[float], *, low: bool
+    grid: dict[str, Matrix], shown: views.Corridor, values: Matrix, levels: list[float], *, low: bool
 ) -> list[tuple[float, float]]:
     """Return the places of the labels of lines [km/s, km]: at high speed for one quantity, low for the other."""
     speed, height = grid[shown.speed] / 1e3, grid[shown.height] / 1e3

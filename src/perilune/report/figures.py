@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from perilune.core import Outcome, one_line
 from perilune.io import phase_columns
-from perilune.problem import History, Problem, Solution
+from perilune.problem import Problem, Solution, views
 from perilune.report.corridor import corridor_figure
 from perilune.report.ground import ground_track
 from perilune.report.hamiltonian_figure import optimality_figure
@@ -106,10 +106,12 @@ def label(solution: Solution) -> str:
     return text.replace("$", r"\$")  # between two of them Matplotlib would read a formula
 
 
-def _generic_drawings(problem: Problem) -> tuple[History, ...]:
+def _generic_drawings(problem: Problem) -> tuple[views.History, ...]:
     """Return a history of each state and each control, for a problem that states no figures."""
     both = {
         "states": [name for phase in problem.phases for name in phase.state_names],
         "controls": [name for phase in problem.phases for name in phase.control_names],
     }
-    return tuple(History(name=name, quantities=tuple(dict.fromkeys(names))) for name, names in both.items() if names)
+    return tuple(
+        views.History(name=name, quantities=tuple(dict.fromkeys(names))) for name, names in both.items() if names
+    )

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from perilune.core import Matrix, Vector
 from perilune.io import display_times, phase_columns
-from perilune.problem import Ground, Solution
+from perilune.problem import Solution, views
 from perilune.report.style import BLUE, GREEN, GREY, PURPLE, VERMILION, legend_above, new_figure, styled
 
 WIDTH = 7.0  # inches
@@ -22,7 +22,7 @@ _COLOURS = (BLUE, VERMILION, GREEN, PURPLE)
 
 
 @styled
-def ground_track(solution: Solution, shown: Ground) -> Figure:
+def ground_track(solution: Solution, shown: views.Ground) -> Figure:
     """Draw the track of each phase over the whole map; a circle at its begin, a triangle at its end.
 
     Parameters

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.io import Column, flight_columns
-from perilune.problem import History, Problem, Solution
+from perilune.problem import Problem, Solution, views
 from perilune.report.style import (
     BLUE,
     FLAT,
@@ -34,7 +34,7 @@ GREEK = ("alpha", "beta", "gamma", "phi", "psi", "theta")
 
 
 @styled
-def history_figure(flights: Mapping[str, Solution], shown: History) -> Figure:
+def history_figure(flights: Mapping[str, Solution], shown: views.History) -> Figure:
     """Draw each quantity of a `History` in its panel against time, several flights in each.
 
     Parameters

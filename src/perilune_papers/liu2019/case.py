@@ -17,19 +17,8 @@ import numpy as np
 
 from perilune import Problem, Solution
 from perilune.core import NUMERIC, Vector
-from perilune.models import (
-    Atmosphere,
-    FlightPath,
-    Interface,
-    Landing,
-    Manoeuvre,
-    Planet,
-    Returner,
-    ReturnOrbit,
-    deorbit_entry,
-    flight_path,
-    to_cartesian,
-)
+from perilune.models import Atmosphere, Interface, Landing, Manoeuvre, Planet, Returner, ReturnOrbit, deorbit_entry
+from perilune_papers.liu2019.flight_path import FlightPath, flight_path, to_cartesian
 
 STEP = 1e-30  # of derivatives by a complex step
 

@@ -4,7 +4,7 @@ Everything is dimensionless, as in the paper: x = (V, gamma, psi, r, Theta, Phi,
 the text that the paper survives in has lost the layout of a fraction, the right reading is taken. Two judges decide:
 
 * (1): Newton's law in Cartesian coordinates relative to the turning Earth, carried into the paper's coordinates by the
-  derivatives of these coordinates. `perilune.models.physics.flight_path.flight_path_rates` passes; the printed
+  derivatives of these coordinates. `perilune_papers.liu2019.flight_path.flight_path_rates` passes; the printed
   right-hand sides do not.
 * (6): lambda' = -(df/dx)^T lambda, the derivatives by complex steps; of the printed f, and of the right one.
 """
@@ -19,17 +19,15 @@ from typing import Any
 import numpy as np
 
 from perilune.core import NUMERIC, Batch, Matrix, Vector
-from perilune.models import (
-    AXIS,
+from perilune.models import AXIS, combine, free_acceleration
+from perilune_papers.liu2019.case import STEP, dimensionless_constants, paper_units
+from perilune_papers.liu2019.flight_path import (
     FlightPath,
-    combine,
     flight_path_rates,
-    free_acceleration,
     gravity_components,
     path_axes,
     to_cartesian,
 )
-from perilune_papers.liu2019.case import STEP, dimensionless_constants, paper_units
 
 NAMES = ("V", "γ", "ψ", "r", "Θ", "Φ", "m")
 SAMPLES = 200

@@ -258,7 +258,7 @@ def _equation_section(made: LiuReproduction) -> Iterable[str]:
     found = made.equations
     yield (
         f"At {SAMPLES} sampled states of a transition, dimensionless. The right equations are those of "
-        "`perilune.models.physics.flight_path`; Newton's law in Cartesian coordinates judges both."
+        "`perilune_papers.liu2019.flight_path`; Newton's law in Cartesian coordinates judges both."
     )
     yield markdown_table(
         ["row of (1)", "printed, largest error", "corrected, largest error"],

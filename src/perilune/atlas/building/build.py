@@ -16,7 +16,7 @@ from perilune.atlas.building.tasks import Task, compile_for_bricks, compute_bric
 from perilune.atlas.region import Region, refuse_moving_ranges, region_of
 from perilune.atlas.store.checksums import digest_of, end_line
 from perilune.atlas.store.manifest import damage_text
-from perilune.atlas.store.schema import COMPARISONS, MOST_NOTES, RANGES, brick_name, header_axes, survey_region
+from perilune.atlas.store.schema import MOST_NOTES, RANGES, brick_name, header_axes, survey_region
 from perilune.atlas.store.store import MANIFEST, PATIENCE, AtlasStore, clear_atlas
 from perilune.atlas.survey.neighbour_seeds import Key
 from perilune.atlas.survey.survey import Survey
@@ -32,13 +32,7 @@ from perilune.core import (
     require_type,
 )
 from perilune.families import Call, Submits, begin_processes, run_calls
-from perilune.io import (
-    comparisons_document,
-    program_versions,
-    reread_problem,
-    same_comparisons,
-    stated_problem_document,
-)
+from perilune.io import program_versions, reread_problem
 from perilune.methods import Indirect
 from perilune.problem import Problem
 
@@ -114,13 +108,11 @@ def build(
     if chosen := {axis.name: axis.low for axis in region.axes if axis.name in problem.free_names}:
         problem = problem.with_given(**chosen)  # an axis is given, not chosen
     kept = AtlasStore(require_path(store, "the directory of an atlas"))
-    document = stated_problem_document(problem)
-    refuse_moving_ranges(problem, as_kept := reread_problem(document), region)
+    document, as_kept = reread_problem(problem, region.looks)
+    refuse_moving_ranges(problem, as_kept, region)
     header = {**header_axes(region), "tolerance": tolerance, "versions": program_versions(), **document}
     if problem.parameter_bounds is not None and as_kept.parameter_bounds is None:
         header[RANGES] = "as they are within the axes; the function that they follow from is not kept"
-    if not same_comparisons(problem, as_kept, looks := region.looks):
-        header[COMPARISONS] = comparisons_document(problem, looks)
     survey = _ensure_survey_line(kept, header, problem, region, method or Indirect(), executor, say, force)
     complete_atlas(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
     refuse_nowhere(kept, survey, len(region.axes))

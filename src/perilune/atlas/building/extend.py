@@ -25,7 +25,6 @@ from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.schema import (
     MOST_NOTES,
     RANGES,
-    header_problem,
     header_region,
     seed_type,
     sheets_of,
@@ -47,6 +46,7 @@ from perilune.core import (
     require_path,
 )
 from perilune.families import Submits
+from perilune.io import read_problem
 from perilune.methods import Indirect
 from perilune.problem import Problem
 
@@ -94,7 +94,7 @@ def extend(
     require_count(sample)
     kept, say = AtlasStore(require_path(store, "the directory of an atlas")), callback or ignore_events
     header, survey = kept.header(), kept.survey()
-    problem = header_problem(header, problem_from_scenario)
+    problem = read_problem(header, problem_from_scenario)
     if survey is None:
         raise PeriluneError(
             "this atlas has no survey yet that could be extended", got=str(kept.directory),

@@ -27,7 +27,6 @@ from perilune.atlas.store.schema import (
     brick_name,
     cell_type,
     header_axes,
-    header_problem,
     header_region,
     node_type,
     seed_type,
@@ -45,7 +44,7 @@ from perilune.core import (
     renamed_keywords,
     require_path,
 )
-from perilune.io import fresh_directory
+from perilune.io import fresh_directory, read_problem
 from perilune.problem import Problem
 
 _BY_HAND = ("axes", "versions", "format")  # of a header: compared otherwise, or not at all
@@ -171,7 +170,7 @@ def _read_part(directory: Path, problem_from_scenario: Callable[[str], Problem])
     header, survey = kept.header(), kept.survey()
     if survey is None:
         raise PeriluneError("this atlas has no survey yet", got=str(directory), advice="build it first")
-    region = survey_region(header_region(header_problem(header, problem_from_scenario), header), survey)
+    region = survey_region(header_region(read_problem(header, problem_from_scenario), header), survey)
     bricks = kept.latest(survey, len(region.axes))
     samples = kept.samples(survey["digest"], _total_nodes(bricks.values()), len(region.axes))
     return _Part(kept, header, survey, region, bricks, samples, kept.ended(survey, len(region.axes)))

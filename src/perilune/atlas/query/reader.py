@@ -19,7 +19,6 @@ from perilune.atlas.store.cells import WHOLE, Status, halved_at, leaves
 from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.schema import (
     cell_type,
-    header_problem,
     header_region,
     node_type,
     open_chart,
@@ -30,6 +29,7 @@ from perilune.atlas.store.schema import (
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.charts import SLACK, Allowed, OpenChart, Sheet, point_feasibility
 from perilune.core import Matrix, PeriluneError, Vector, check_call, require_numbers, wrong_type_error
+from perilune.io import read_problem
 from perilune.problem import Problem
 
 SERVING = (Status.ONE_STEP, Status.MORE_STEPS)
@@ -184,7 +184,7 @@ class AtlasReader:
         self.store: AtlasStore = AtlasStore(directory)
         self._problem_from_scenario = problem_from_scenario
         header = self.store.header()
-        self.problem: Problem = header_problem(header, problem_from_scenario)
+        self.problem: Problem = read_problem(header, problem_from_scenario)
         self._first = header_region(self.problem, header)
         with damage_text(HEADER):
             self.tolerance: float = float(header["tolerance"])

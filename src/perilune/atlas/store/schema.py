@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,10 @@ from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.store import HEADER, MANIFEST
 from perilune.charts import Chart, OpenChart, Sheet, arc_sequence_from
 from perilune.core import Vector
-from perilune.io import read_comparisons, read_problem
 from perilune.problem import Nature, Problem
 
 MOST_NOTES = 100
 RANGES = "ranges"  # key of a header whose problem has lost what its ranges follow from
-COMPARISONS = "comparisons"  # key of what physics says of a problem of the user's own
 
 
 def node_type(d: int, n: int) -> np.dtype[Any]:
@@ -65,22 +63,6 @@ def seed_type(d: int, n: int) -> np.dtype[Any]:
 def brick_name(key: tuple[int, ...]) -> str:
     """Return the name of a block of a chart: its numbers, with ``m`` before those below zero."""
     return "-".join(f"m{-number}" if number < 0 else str(number) for number in key)
-
-
-def header_problem(header: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
-    """Build the problem of a header, with the comparisons of the one that was mapped.
-
-    Parameters
-    ----------
-    header
-        Content of the header file.
-    problem_from_scenario
-        Makes the problem of a scenario's text.
-    """
-    problem = read_problem(header, problem_from_scenario)
-    if COMPARISONS not in header:
-        return problem
-    return problem.changed(preflight=read_comparisons(header[COMPARISONS], problem))
 
 
 def header_axes(region: Region) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 
 from perilune.core import END, EXAMPLE, PeriluneError, instant
-from perilune.models import leap_seconds_within, utc_after
+from perilune.io.exports.time_scales import leap_seconds_within, utc_after
 from perilune.problem import Solution
 
 TICK = 1e-6  # s

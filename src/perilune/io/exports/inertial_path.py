@@ -11,7 +11,7 @@ import numpy as np
 
 from perilune.core import Matrix, PeriluneError, Vector
 from perilune.io.columns import times_around_switches
-from perilune.problem import Solution, Space
+from perilune.problem import Solution, views
 
 LOST = 1e-3  # m, between two times
 JUMP = 1e-6  # s; what changes faster than in so short a time jumps
@@ -85,7 +85,7 @@ def separate_jumps(time: Vector) -> tuple[Vector, np.ndarray]:
     return told, (np.append(True, ~near[:-1]) & (told < last)) | ~near
 
 
-def space_of(solution: Solution, form: str) -> Space:
+def space_of(solution: Solution, form: str) -> views.Space:
     """Return the body and axes in space of a flight, for a format that has no other places.
 
     Parameters

@@ -18,8 +18,8 @@ from perilune.core import PeriluneError, one_line
 from perilune.io.columns import node_times
 from perilune.io.exports.epochs import TICK, leap_seconds_sentence, stamp_of_tick
 from perilune.io.exports.inertial_path import InertialLeg, legs, space_of
+from perilune.io.exports.orientation import axes_in_space, describe_orientation
 from perilune.io.format import hash_of
-from perilune.models import axes_in_space, describe_orientation
 from perilune.problem import Solution
 
 _WIDTH = 200  # the standard allows 254 characters

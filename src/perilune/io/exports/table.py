@@ -17,7 +17,7 @@ import numpy as np
 from perilune.core import Vector
 from perilune.io.columns import Column, node_times, phase_columns
 from perilune.io.exports.inertial_path import separate_jumps
-from perilune.problem import Solution, Space
+from perilune.problem import Solution, views
 
 _AXES = ("x", "y", "z")
 
@@ -143,7 +143,7 @@ def _column_descriptions(solution: Solution) -> dict[str, str]:
     return told
 
 
-def _coordinate_kinds(space: Space | None) -> dict[str, str]:
+def _coordinate_kinds(space: views.Space | None) -> dict[str, str]:
     if space is None:
         return {}
     names = {space.longitude: "longitude", space.latitude: "latitude", space.height: "height"}

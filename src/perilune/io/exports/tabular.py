@@ -22,7 +22,7 @@ from perilune.core import PeriluneError
 from perilune.io.columns import round_degrees
 from perilune.io.exports.epochs import leap_seconds_sentence, stamp
 from perilune.io.exports.table import FlightColumn, FlightTable
-from perilune.models import leap_seconds_within
+from perilune.io.exports.time_scales import leap_seconds_within
 
 if TYPE_CHECKING:
     import pandas

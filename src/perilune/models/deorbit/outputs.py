@@ -25,7 +25,7 @@ from perilune.models.physics.rotating_frame import (
     scalar_product,
     zonal_gravity,
 )
-from perilune.problem import Corridor, Dispersion, Disturbance, Ground, History, Space, ValidRange, Variable, Views
+from perilune.problem import Variable, views
 
 PLACED = (
     Variable(name="altitude", unit="m"),
@@ -289,20 +289,20 @@ _DRAG = (
 )
 
 
-def return_dispersion(given: Iterable[str]) -> Dispersion:
+def return_dispersion(given: Iterable[str]) -> views.Dispersion:
     """Return the disturbances of the landing point of a problem with these given parameters."""
     shares = next(found for ways in _DRAG if (found := tuple(way for way in ways if way[0] in given)))
-    return Dispersion(
+    return views.Dispersion(
         disturbances=(
-            Disturbance(name="second_late", begins="burn", without=("vehicle_thrust",)),
-            Disturbance(name="percent_thrust", shares=(("vehicle_thrust", 1.0),)),
-            Disturbance(name="percent_drag", shares=shares),
+            views.Disturbance(name="second_late", begins="burn", without=("vehicle_thrust",)),
+            views.Disturbance(name="percent_thrust", shares=(("vehicle_thrust", 1.0),)),
+            views.Disturbance(name="percent_drag", shares=shares),
         ),
         position=("x", "y", "z"), velocity=("vx", "vy", "vz"), track="entry",
     )  # fmt: skip
 
 
-def validity_ranges(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
+def validity_ranges(air: Air | None, *, heat: bool) -> tuple[views.ValidRange, ...]:
     """Return the ranges in which the model of the air and of its heat hold.
 
     Parameters
@@ -315,19 +315,21 @@ def validity_ranges(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
     if air is None:
         return ()
     told_air = f"{air.name}, whose data range from {air.bottom / 1e3:g} to {air.top / 1e3:g} km"
-    known = ValidRange(quantity="altitude", lower=air.bottom, upper=air.top, phases=("entry",), because=told_air)
+    known = views.ValidRange(quantity="altitude", lower=air.bottom, upper=air.top, phases=("entry",), because=told_air)
     hot = "only convection at a cold wall (Sutton and Graves 1971); beyond, heat shields ablate and the gas also "
     hot += "radiates (Tauber and Sutton 1991)"
     heats = (
-        ValidRange(quantity="heat_rate", upper=_CONVECTIVE, phases=("entry",), because=f"up to 1000 kW/m^2, {hot}"),
-        ValidRange(quantity="speed", upper=_RADIATING, phases=("entry",), because=f"up to 10 km/s, {hot}"),
+        views.ValidRange(
+            quantity="heat_rate", upper=_CONVECTIVE, phases=("entry",), because=f"up to 1000 kW/m^2, {hot}"
+        ),
+        views.ValidRange(quantity="speed", upper=_RADIATING, phases=("entry",), because=f"up to 10 km/s, {hot}"),
     )
     return (*((known,) if math.isfinite(air.top) else ()), *(heats if heat else ()))
 
 
 def return_views(
     *, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], body: str = "", epoch: str = ""
-) -> Views:
+) -> views.Views:
     """Return the figures of a return, for its air, heat and body (whose coasts are drawn where they are known).
 
     Parameters
@@ -345,28 +347,28 @@ def return_views(
     """
     flown = air is not None
     peaks = (("dynamic_pressure", "load") if flown else ()) + (("heat_rate",) if flown and heat else ())
-    return Views(
+    return views.Views(
         histories=(
-            History(name="altitude", quantities=("altitude",), caption="Altitude"),
-            History(
+            views.History(name="altitude", quantities=("altitude",), caption="Altitude"),
+            views.History(
                 name="speed_and_angle", quantities=("speed", "path_angle"),
                 caption="Speed relative to the rotating body, and its angle above the horizon",
             ),
-            *((History(name="air", quantities=peaks, caption="Aerodynamics"),) if flown else ()),
-            History(name="mass", quantities=("m",), caption="Mass"),
-            History(
+            *((views.History(name="air", quantities=peaks, caption="Aerodynamics"),) if flown else ()),
+            views.History(name="mass", quantities=("m",), caption="Mass"),
+            views.History(
                 name="steering", quantities=("toward_x", "toward_y", "toward_z", "throttle", "lift_up", "lift_right"),
                 caption="Thrust direction in body-fixed axes, and lift in the atmosphere",
             ),
         ),
         height="altitude", radius="body_radius", frame=INERTIAL_AXES, peaks=peaks,
-        ground=Ground(longitude="longitude", latitude="latitude", coasts=coasts),
+        ground=views.Ground(longitude="longitude", latitude="latitude", coasts=coasts),
         meant_for=validity_ranges(air, heat=heat),
-        corridor=Corridor(
+        corridor=views.Corridor(
             height="altitude", speed="speed", equal=peaks[1:], position=("x", "y", "z"), velocity=("vx", "vy", "vz")
         ) if flown else None,
         dispersion=return_dispersion(given) if flown else None,
-        space=Space(
+        space=views.Space(
             body=body, rotation="body_rotation_rate", epoch=epoch,
             longitude="longitude", latitude="latitude", height="altitude",
         ),

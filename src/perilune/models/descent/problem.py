@@ -62,16 +62,14 @@ from perilune.problem import (
     Control,
     Finding,
     FreeParameter,
-    History,
     Parameter,
     Phase,
     Problem,
     Quantities,
     ScalarControl,
-    Space,
     UnitVectorControl,
-    Views,
     given_of,
+    views,
 )
 
 _FRAMES = {"cartesian": CARTESIAN, "spherical": SPHERICAL}
@@ -86,16 +84,16 @@ _LATITUDE: dict[str, Any] = {
     "about": "north",
 }
 
-_VIEWS = Views(
+_VIEWS = views.Views(
     histories=(
-        History(name="altitude", quantities=("altitude",), caption="Altitude"),
-        History(name="mass", quantities=("m",), caption="Mass"),
-        History(
+        views.History(name="altitude", quantities=("altitude",), caption="Altitude"),
+        views.History(name="mass", quantities=("m",), caption="Mass"),
+        views.History(
             name="velocities",
             quantities=("forward_speed", "sideways_speed", "vertical_speed"),
             caption="Velocity relative to the body",
         ),
-        History(
+        views.History(
             name="steering",
             quantities=("thrust_elevation", "thrust_azimuth", "throttle"),
             caption="Thrust direction, and throttle where there is one",
@@ -105,7 +103,7 @@ _VIEWS = Views(
     radius="body_radius",
     frame=INERTIAL_AXES,
 )
-_SPACE = Space(rotation="body_rotation_rate", longitude="longitude", latitude="latitude", height="altitude")
+_SPACE = views.Space(rotation="body_rotation_rate", longitude="longitude", latitude="latitude", height="altitude")
 
 
 # What of the burn holds, or means something, in a free fall as well.

@@ -35,20 +35,17 @@ from perilune.models.physics.delta_v_bounds import braking_distance_and_time, ex
 from perilune.models.physics.delta_v_budget import FLIGHT_TIME, LANDED_MASS, PROPELLANT, SPENT, velocity_loss_rates
 from perilune.models.physics.vehicle import Retro, Vehicle
 from perilune.problem import (
-    Beside,
     Check,
     Conditions,
     FreeParameter,
-    History,
     Phase,
     Problem,
     Quantities,
     Solution,
-    Space,
     UnitVectorControl,
     Variable,
-    Views,
     given_of,
+    views,
 )
 
 
@@ -141,25 +138,27 @@ def _planar_inertial(x: Any, u: Any, t: Any, p: Any, xp: Any) -> Sequence[Any]:
     )
 
 
-_VIEWS = Views(
+_VIEWS = views.Views(
     histories=(
-        History(name="altitude", quantities=("altitude",), caption="Altitude"),
-        History(name="horizontal_velocity", quantities=("u",), caption="Horizontal velocity"),
-        History(name="vertical_velocity", quantities=("v",), caption="Vertical velocity"),
-        History(
+        views.History(name="altitude", quantities=("altitude",), caption="Altitude"),
+        views.History(name="horizontal_velocity", quantities=("u",), caption="Horizontal velocity"),
+        views.History(name="vertical_velocity", quantities=("v",), caption="Vertical velocity"),
+        views.History(
             name="thrust_angle",
             quantities=("thrust_angle",),
             caption="Thrust angle, from the direction of flight along the horizon",
         ),
-        History(name="mass", quantities=("m",), caption="Mass; the propellant of a retro burn is gone before ignition"),
+        views.History(
+            name="mass", quantities=("m",), caption="Mass; the propellant of a retro burn is gone before ignition"
+        ),
     ),
     height="altitude",
     radius="body_radius",
     frame="inertial axes: x from the centre to the start of the Hohmann transfer, z along the body's rotation",
     label="hybrid, ΔV = {delta_v:.1f} m/s",
-    beside=Beside(given=(("retro_delta_v", 0.0),), label="ordinary, no retro burn"),
+    beside=views.Beside(given=(("retro_delta_v", 0.0),), label="ordinary, no retro burn"),
 )
-_SPACE = Space(
+_SPACE = views.Space(
     rotation="body_rotation_rate",
     chosen="The model is planar: its plane is the equator, flown along the rotation, and longitude 0 is where the "
     "Hohmann transfer starts, half a revolution before the start of the flight.",

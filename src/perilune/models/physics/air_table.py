@@ -13,19 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from perilune.core import (
-    CellRow,
-    DelimitedTable,
-    PeriluneError,
-    TableHeading,
-    TextLine,
-    Vector,
-    bounded_text,
-    delimited_table,
-    parse_unit,
-    table_heading,
-    unit_as_written,
-)
+from perilune.core import PeriluneError, TableHeading, Vector, bounded_text, parse_unit, table_heading, unit_as_written
+from perilune.models.physics.delimited_text import CellRow, DelimitedTable, TextLine, delimited_table
 
 LARGEST_FILE = 1_000_000  # bytes
 _SI = {"altitude": "m", "density": "kg/m^3"}

@@ -48,16 +48,13 @@ from perilune.models.precision.presolve import compare_precision
 from perilune.problem import (
     Conditions,
     FreeParameter,
-    History,
     Phase,
     Problem,
     Quantities,
-    Space,
     UnitVectorControl,
-    ValidRange,
     Variable,
-    Views,
     given_of,
+    views,
 )
 
 
@@ -111,11 +108,15 @@ def _approach_track(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     return east * x.east + north * x.north, east * x.north - north * x.east, x.up, *floor
 
 
-_VIEWS = Views(
+_VIEWS = views.Views(
     histories=(
-        History(name="mass", quantities=("m",), caption="Mass"),
-        History(name="velocities", quantities=("v_east", "v_north", "v_up"), caption="Velocity relative to the body"),
-        History(name="steering", quantities=("thrust_tilt", "throttle"), caption="Thrust direction, and throttle"),
+        views.History(name="mass", quantities=("m",), caption="Mass"),
+        views.History(
+            name="velocities", quantities=("v_east", "v_north", "v_up"), caption="Velocity relative to the body"
+        ),
+        views.History(
+            name="steering", quantities=("thrust_tilt", "throttle"), caption="Thrust direction, and throttle"
+        ),
     ),
     height="up",
     radius="body_radius",
@@ -280,7 +281,7 @@ def precision_landing(
 _FAR = 10e3  # m
 # On the Moon the ground falls by d^2/(2 R) = 29 m over this distance, and gravity by 2 h/R = 1.1 % over this height.
 _FLAT = tuple(
-    ValidRange(
+    views.ValidRange(
         quantity=name,
         lower=-math.inf if name == "up" else -_FAR,
         upper=_FAR,
@@ -293,11 +294,11 @@ _FLAT = tuple(
 )
 
 
-def _precision_views(body: Body | UniformGravity) -> Views:
+def _precision_views(body: Body | UniformGravity) -> views.Views:
     """The views; flat ground is nowhere in space."""
     if isinstance(body, UniformGravity):
         return replace(_VIEWS, radius="", frame="", meant_for=_FLAT)
-    return replace(_VIEWS, space=Space(body=catalogue_name(body), rotation="body_rotation_rate"))
+    return replace(_VIEWS, space=views.Space(body=catalogue_name(body), rotation="body_rotation_rate"))
 
 
 def _ground_records(body: Body | UniformGravity, site: Site | None, j2: float) -> tuple[Any, ...]:

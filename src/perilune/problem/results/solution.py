@@ -25,7 +25,6 @@ from perilune.core import (
     RenamedAttribute,
     Vector,
     check_call,
-    equal_fields,
     renamed_keywords,
     require_index,
     warn_renamed,
@@ -35,6 +34,7 @@ from perilune.problem.display.reprs import ShownSolution
 from perilune.problem.problem import Problem
 from perilune.problem.results.arc_sequence import NamedArc
 from perilune.problem.results.dispersion import dispersion
+from perilune.problem.results.equality import equal_fields
 from perilune.problem.results.extrema import peaks
 from perilune.problem.results.extremal import Extremal
 from perilune.problem.results.trajectory import Trajectory, read_only_array

@@ -7,8 +7,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from perilune.core import Matrix, PeriluneError, RenamedAttribute, Vector, check_call, equal_fields, require_numbers
+from perilune.core import Matrix, PeriluneError, RenamedAttribute, Vector, check_call, require_numbers
 from perilune.problem.display.reprs import ShownCurve, ShownTrajectory
+from perilune.problem.results.equality import equal_fields
 
 _TIMES = "a time at which to evaluate a curve"
 _ROUNDING = 1e-9  # of a curve's length: by so much a time may lie beyond its ends

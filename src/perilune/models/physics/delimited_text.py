@@ -12,8 +12,7 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from perilune.core.errors import PeriluneError
-from perilune.core.untrusted_text import one_line
+from perilune.core import PeriluneError, one_line
 
 _DELIMITERS = ("\t", ";", ",", " ")
 _NUMBER = re.compile(

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from perilune.models.physics.rotating_frame import Triple, combine, local_axes, scalar_product, spherical_coordinates
+from perilune.models import Triple, combine, local_axes, scalar_product, spherical_coordinates
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from perilune.core import PeriluneError
-from perilune.models.physics.bodies import BODIES, EARTH
-from perilune.models.physics.orientation import ELEMENTS, axes_in_space, describe_orientation
-from perilune.models.physics.time_scales import tdb_minus_utc
+from perilune.io.exports.orientation import ELEMENTS, axes_in_space, describe_orientation
+from perilune.io.exports.time_scales import tdb_minus_utc
+from perilune.models import BODIES, EARTH
 
 
 @pytest.mark.parametrize("year", [1976, 2015, 2026, 2040])

@@ -13,11 +13,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from perilune.problem.controls import scalars
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.lie_derivatives import run_expression
-from perilune.problem.tracing.tape import Expression, Recorder
-from perilune.problem.variables import FreeParameter, Parameter
+from perilune.problem import Expression, FreeParameter, Parameter, Problem, Recorder, run_expression, scalars
 
 _FAR = 1e4  # canonical: a range that is so much wider or narrower than 1 has a size of its own
 

@@ -19,7 +19,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from perilune.core import Matrix, unknown_name
-from perilune.models.physics.time_scales import describe_tdb, tdb_minus_utc
+from perilune.io.exports.time_scales import describe_tdb, tdb_minus_utc
 
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 _SECONDS = np.pi / 180 / 3600  # of arc
