@@ -14,7 +14,7 @@ import numpy as np
 from perilune.core import Vector
 from perilune.families.batch import Batch
 from perilune.families.family import Family
-from perilune.io import FlightColumn, cf_unit, display_unit, missing_package
+from perilune.io import FlightColumn, cf_unit, display_unit, package_of_extra
 from perilune.problem import Solution
 
 if TYPE_CHECKING:
@@ -38,13 +38,10 @@ def family_frame(family: Family) -> pandas.DataFrame:
     PeriluneError
         If pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError:
-        raise missing_package("a frame of pandas", "pandas") from None
+    pd = package_of_extra("pandas", "a frame of pandas")
     axes, found, given = parameter_fields(family), result_fields(family), given_fields(family)
     columns = {f.name: f.values for f in (*axes, *found)}
-    frame = pandas.DataFrame({**columns, **_endings(family)})
+    frame = pd.DataFrame({**columns, **_endings(family)})
     frame.attrs = {
         "problem": family.problem.name, "title": family.problem.heading, "notes": list(family.notes),
         "units": {f.name: f.unit for f in (*axes, *found)},
@@ -68,10 +65,7 @@ def family_dataset(family: Family) -> xarray.Dataset:
     PeriluneError
         If xarray is not installed.
     """
-    try:
-        import xarray
-    except ImportError:
-        raise missing_package("a data set of xarray", "xarray") from None
+    xr = package_of_extra("xarray", "a data set of xarray")
     axes, placed = parameter_fields(family), grid_of(family)
     if placed is None:
         dimensions, shape, order = (POINT,), (len(family.points),), np.arange(len(family.points))
@@ -93,7 +87,7 @@ def family_dataset(family: Family) -> xarray.Dataset:
     }
     variables |= {f.name: ((), f.values[0], _cf_attributes(f)) for f in given_fields(family) if f.name not in variables}
     about = {"problem": family.problem.name, "title": family.problem.heading, "notes": "; ".join(family.notes)}
-    return xarray.Dataset(variables, coordinates, about)
+    return xr.Dataset(variables, coordinates, about)
 
 
 def batch_frame(batch: Batch) -> pandas.DataFrame:
@@ -104,13 +98,10 @@ def batch_frame(batch: Batch) -> pandas.DataFrame:
     PeriluneError
         If pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError:
-        raise missing_package("a frame of pandas", "pandas") from None
+    pd = package_of_extra("pandas", "a frame of pandas")
     found = _batch_fields(batch)
-    frame = pandas.DataFrame(
-        {**{f.name: f.values for f in found}, "outcome": pandas.Categorical(batch.outcomes), _LEVEL: batch.levels}
+    frame = pd.DataFrame(
+        {**{f.name: f.values for f in found}, "outcome": pd.Categorical(batch.outcomes), _LEVEL: batch.levels}
     )
     frame.attrs = {"problem": batch.problem.name, "units": {f.name: f.unit for f in found}}
     return frame
@@ -124,13 +115,10 @@ def batch_dataset(batch: Batch) -> xarray.Dataset:
     PeriluneError
         If xarray is not installed.
     """
-    try:
-        import xarray
-    except ImportError:
-        raise missing_package("a data set of xarray", "xarray") from None
+    xr = package_of_extra("xarray", "a data set of xarray")
     found = {f.name: ((POINT,), f.values, _cf_attributes(f)) for f in _batch_fields(batch)}
     found |= {"outcome": ((POINT,), batch.outcomes, {}), _LEVEL: ((POINT,), batch.levels, {})}
-    return xarray.Dataset(found, attrs={"problem": batch.problem.name})
+    return xr.Dataset(found, attrs={"problem": batch.problem.name})
 
 
 def _batch_fields(batch: Batch) -> list[FlightColumn]:

@@ -6,7 +6,7 @@ integrator. What the lanes do not reach, as where the optimal flight has other a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from perilune.charts import PointSolver, point_feasibility
 from perilune.core import (
-    Matrix,
     NotConvergedError,
     Outcome,
     PeriluneError,
@@ -28,7 +27,7 @@ from perilune.core import (
 )
 from perilune.families.batch import OUTCOMES, Batch, BatchPart, solution_in_parts
 from perilune.families.family import failure_outcome
-from perilune.families.points import Points, read_points
+from perilune.families.points import Points, PointTable, read_points
 from perilune.methods import Indirect
 from perilune.problem import LEVELS, Problem, Solution, refused_rows
 from perilune.solve import require_time_limit, solve
@@ -95,36 +94,36 @@ def solve_many(
     limit, say = require_time_limit(time_limit, verify), callback or ignore_events
     table = read_points(problem, points)
     known = solve(problem, callback=callback) if guess is None else Indirect().run(problem, guess, say)
-    work = _Work(problem, table.names, table.values, known)
-    work.refuse(table.refused)
-    stopped = False
-    try:
-        work.screen()
-        work.solve_in_lanes(say)
-        if search:
-            work.solve_around_nodes(say, limit)
-        else:
-            work.leave_unreached()
-        work.solve_alone(say, verify, limit)
-    except KeyboardInterrupt:
-        stopped = True
-    return work.batch(stopped)
+    return _Work(problem, table, known).done(say, verify, search=search, limit=limit)
 
 
 class _Work:
     """Arrays of a batch while they are filled."""
 
-    def __init__(self, problem: Problem, names: tuple[str, ...], values: Matrix, known: Solution) -> None:
-        count = len(values)
-        self.problem, self.names, self.values, self.known = problem, names, values, known
+    def __init__(self, problem: Problem, table: PointTable, known: Solution) -> None:
+        count = len(table.values)
+        self.problem, self.names, self.values, self.known = problem, table.names, table.values, known
         self.codes, self.levels = np.full(count, _OPEN, dtype=np.int8), np.zeros(count, dtype=np.int8)
         self.messages, self.alone = dict[int, str](), dict[int, Solution]()
         self.parts = list[BatchPart]()
 
-    def refuse(self, refused: Mapping[int, str]) -> None:
-        """Enter points that are refused, with the reason."""
-        self.messages.update(refused)
-        self.codes[list(refused)] = OUTCOMES.index(Outcome.REFUSED)
+        self.messages.update(table.refused)
+        self.codes[list(table.refused)] = OUTCOMES.index(Outcome.REFUSED)
+
+    def done(self, say: Callable[[str], None], level: int, *, search: bool, limit: float) -> Batch:
+        """Solve everything, or until the user stops it."""
+        stopped = False
+        try:
+            self.screen()
+            self.solve_in_lanes(say)
+            if search:
+                self.solve_around_nodes(say, limit)
+            else:
+                self.leave_unreached()
+            self.solve_alone(say, level, limit)
+        except KeyboardInterrupt:
+            stopped = True
+        return self.batch(stopped)
 
     def screen(self) -> None:
         """Refuse points whose values are none of the problem, or that physics forbids."""

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from perilune.io.exports.formats import format_of
     from perilune.io.exports.provenance import provenance
     from perilune.io.exports.table import FlightColumn
-    from perilune.io.exports.tabular import cf_unit, missing_package
+    from perilune.io.exports.tabular import cf_unit, package_of_extra
     from perilune.io.exports.writing import export_target, require_object, write_export
     from perilune.io.format import LARGEST_FILE, SOLUTION_FILE, hash_of
     from perilune.io.json_checks import array, enumeration_member, part, refuse_entry, short_text, tree

@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Mapping
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,11 +95,7 @@ def write_parquet(table: FlightTable, about: Mapping[str, str], epoch: datetime 
     PeriluneError
         If pyarrow is not installed.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        raise missing_package("Parquet", "pyarrow") from None
+    pa, pq = (package_of_extra(name, "Parquet") for name in ("pyarrow", "pyarrow.parquet"))
     utc = {} if epoch is None else {"epoch": f"{stamp(epoch, 0.0)}Z"}
     fields = [
         pa.field("time", pa.float64(), nullable=False, metadata={"unit": "s", "about": _TIME}),
@@ -170,16 +167,13 @@ def dataset_of(table: FlightTable, about: Mapping[str, str], epoch: datetime | N
     PeriluneError
         If xarray is not installed.
     """
-    try:
-        import xarray
-    except ImportError:
-        raise missing_package("a data set of xarray", "xarray") from None
+    xr = package_of_extra("xarray", "a data set of xarray")
     variables = {
-        name: xarray.Variable((_DIMENSION,) if values.ndim else (), values, attributes)
+        name: xr.Variable((_DIMENSION,) if values.ndim else (), values, attributes)
         for name, (values, attributes) in _netcdf_variables(table, epoch).items()
     }
-    found = xarray.Dataset(variables, attrs=_file_attributes(table, about, epoch)).set_coords("phase")
-    return xarray.decode_cf(found)
+    found = xr.Dataset(variables, attrs=_file_attributes(table, about, epoch)).set_coords("phase")
+    return xr.decode_cf(found)
 
 
 def frame_of(table: FlightTable, about: Mapping[str, str]) -> pandas.DataFrame:
@@ -197,13 +191,10 @@ def frame_of(table: FlightTable, about: Mapping[str, str]) -> pandas.DataFrame:
     PeriluneError
         If pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError:
-        raise missing_package("a frame of pandas", "pandas") from None
-    found = pandas.DataFrame(
+    pd = package_of_extra("pandas", "a frame of pandas")
+    found = pd.DataFrame(
         {"phase": table.phase_names, **{f.name: f.values for f in table.fields}},
-        index=pandas.Index(table.time, name="time"),
+        index=pd.Index(table.time, name="time"),
     )
     found.attrs = {"units": {"time": "s", **{f.name: f.unit for f in table.fields}}, **about}
     return found
@@ -270,17 +261,28 @@ def cf_unit(unit: str) -> str:
     return _CF_UNITS.get(unit, unit)
 
 
-def missing_package(what: str, package: str) -> PeriluneError:
-    """Return the error for a missing package of the extra `export`.
+def package_of_extra(name: str, what: str) -> Any:
+    """Import a package of the extra `export`.
 
     Parameters
     ----------
+    name
+        Name of the package, or of a module in it.
     what
-        Format or object that needs the package.
-    package
-        Name of the package.
+        Format or object that needs it.
+
+    Raises
+    ------
+    PeriluneError
+        If it is not installed.
     """
-    return PeriluneError(f"{what} needs {package}, which is not installed", advice="pip install 'perilune[export]'")
+    try:
+        return import_module(name)
+    except ImportError:
+        needed = name.partition(".")[0]
+        raise PeriluneError(
+            f"{what} needs {needed}, which is not installed", advice="pip install 'perilune[export]'"
+        ) from None
 
 
 WRITERS = {"netcdf": write_netcdf, "csv": write_csv, "parquet": write_parquet}
