@@ -8,6 +8,9 @@ from perilune.kernels import compile_arcs, compile_map
 from perilune.kernels.algebra import split_program as dividing
 from perilune.kernels.algebra.program import trace_function
 from perilune.kernels.algebra.split_program import split_program
+from perilune.kernels.algebra.system import ArcSystem
+from perilune.kernels.code import emit
+from perilune.kernels.flight.equations_code import equations_module
 
 X = ca.SX.sym("x", 5)
 
@@ -63,3 +66,31 @@ def test_a_short_program_is_one_piece() -> None:
     assert (held, part.kept) == (0, {})
     assert len(part.instructions) == len(program.instructions)
     assert sorted(part.results) == list(range(len(program.outputs)))
+
+
+def layer(slope: float, drift: float) -> ca.Function:
+    """The same equations with other numbers, which are factors, terms and a rate of their own."""
+    z, p = ca.SX.sym("z", 3), ca.SX.sym("p")
+    return ca.Function("layer", [z, p], [ca.vertcat(slope * z[1], ca.sin(z[0]) - p * slope / (2 + z[1]), drift)])
+
+
+@pytest.mark.parametrize("most", [2000, 4])
+def test_modes_that_differ_in_constants_share_their_code(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dividing, "MOST", most)
+    modes = [layer(1.5, 0.25), layer(-0.3, 7.0), layer(1.5, 0.25), layer(1.5, 1.5)]
+    seeds, starts = np.eye(3, dtype=bool), np.random.default_rng(2).normal(size=(8, 3))
+    system = ArcSystem(modes=tuple(modes), solved=(None,) * 4, events=(), seeds=seeds)
+    found, texts = list[np.ndarray](), list[str]()
+    for worth in (1, 10**9):
+        monkeypatch.setattr(emit, "_WORTH_SHARING", worth)
+        texts.append(equations_module(system, 4))
+        arcs = compile_arcs(modes, columns=3, cache=False).propagate(
+            starts, [0.7], 1.2, np.eye(3), mode=np.arange(8) % 4
+        )
+        found.append(np.concatenate([arcs.z.ravel(), arcs.columns.ravel()]))
+    assert found[0].tobytes() == found[1].tobytes()
+    together, apart = (text.count("call <4 x double> @perilune.sin(") for text in texts)
+    assert 0 < 2 * together <= apart, "layers 0 to 2 are one function"
+    for mode, (slope, drift) in enumerate([(1.5, 0.25), (-0.3, 7.0), (1.5, 0.25), (1.5, 1.5)]):
+        alone = compile_arcs(layer(slope, drift), cache=False).propagate(starts[mode], [0.7], 1.2)
+        np.testing.assert_allclose(found[0][:24].reshape(8, 3)[mode], alone.z[0], rtol=1e-11, atol=1e-12)

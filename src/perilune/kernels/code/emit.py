@@ -6,7 +6,9 @@ buffers of vectors. LLVM chooses registers and order. A long program is several 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 from perilune.kernels.algebra.program import Instruction, Program
 from perilune.kernels.algebra.split_program import HELD, Piece, split_program
@@ -16,41 +18,133 @@ from perilune.kernels.code.ir import NUM, Bits, Mask, Num, Ptr, Vec, Writer
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _INTRINSICS = {"sqrt", "fabs", "copysign", "floor", "ceil"}
 _RECENT = 20  # operations for which an input read stays in a register; 12 to 32 measure the same
+_CONSTANTS = HELD - 1  # the argument of a piece that holds those of its constants in which it differs from others
+_WORTH_SHARING = 500  # instructions: in a shorter piece the call of what is shared would be felt
 _COMPARISONS = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
 
-def emit_kernel(name: str, program: Program, arguments: Iterable[int], width: int, *, cleared: bool = False) -> str:
-    """Return the IR of ``void name(inputs..., result)``, each a pointer to vectors of `width` lanes.
+@dataclass(frozen=True, kw_only=True)
+class Kernel:
+    """A function of a module: ``void name(inputs..., result)``, each a pointer to vectors of lanes.
 
-    Parameters
+    Attributes
     ----------
     name
         Name of the function in the module, without ``@``.
     program
-        What to compute.
+        Values to compute.
     arguments
-        Which arguments of the program the function takes, in order.
-    width
-        Number of lanes.
+        Arguments of the program that the function takes, in order.
     cleared
         Whether the result is handed over as zeros: those of a sparse matrix, most of it, are then not written.
     """
-    zero = ("const", (0.0).hex())
-    left = {index for index, n in enumerate(program.outputs) if cleared and program.instructions[n] == zero}
+
+    name: str
+    program: Program
+    arguments: tuple[int, ...]
+    cleared: bool = False
+
+
+@dataclass(frozen=True)
+class _Function:
+    """A piece of a kernel: its name, what it takes, and the entries of the result that it does not write."""
+
+    name: str
+    piece: Piece
+    arguments: tuple[int, ...]
+    left: frozenset[int]
+
+    @property
+    def shape(self) -> Any:
+        """All but the values of its constants."""
+        piece = self.piece
+        bare = tuple(one[:1] if one[0] == "const" else one for one in piece.instructions)
+        return bare, *map(tuple, (piece.results.items(), piece.kept.items())), self.arguments, self.left
+
+
+def emit_kernels(kernels: Iterable[Kernel], width: int) -> str:
+    """Return the IR of the kernels of a module.
+
+    Modes of the dynamics are often the same equations with other numbers, as those of two layers of an atmosphere:
+    long pieces that differ only in constants become one function, which takes those.
+
+    Parameters
+    ----------
+    kernels
+        Functions of the module.
+    width
+        Number of lanes.
+    """
+    made = [(kernel, *_pieces(kernel)) for kernel in kernels]
+    alike: dict[Any, list[_Function]] = {}
+    for function in (f for _, functions, _ in made for f in functions):
+        long = len(function.piece.instructions) >= _WORTH_SHARING
+        alike.setdefault(function.shape if long else function.name, []).append(function)
+    texts, called = list[str](), dict[str, tuple[str, list[str]]]()
+    for group in alike.values():
+        merged, differing = _merge_constants(group)
+        texts.append(_write_piece(merged, width))
+        for function, values in zip(group, differing, strict=True):
+            called[function.name] = merged.name, [f"@{function.name}.constants"] if values else []
+            if values:
+                texts.append(_write_constants(f"@{function.name}.constants", values, width))
+    for kernel, functions, held in made:
+        if called[functions[0].name] != (kernel.name, []):
+            texts.append(_write_calls(kernel, functions, held, width, called))
+    return "\n".join(texts)
+
+
+def _pieces(kernel: Kernel) -> tuple[list[_Function], int]:
+    """Return a kernel in pieces, and how many values are held between them."""
+    zero, program = ("const", (0.0).hex()), kernel.program
+    left = frozenset(i for i, n in enumerate(program.outputs) if kernel.cleared and program.instructions[n] == zero)
     parts, held = split_program(program)
     if len(parts) == 1:
-        return _function(name, parts[0], [*arguments], width, left)
-    w, taken = Writer(width), [*arguments]
-    passed = ", ".join(f"ptr {x}" for x in (*map(_argument, taken), w.buffer(held), "%out"))
-    functions = list[str]()
-    for number, part in enumerate(parts):
-        functions.append(_function(f"{name}.{number}", part, [*taken, HELD], width, left))
-        w.run(f"call void @{name}.{number}({passed})")
-    return "\n".join([*functions, _define_body(name, taken, w)])
+        return [_Function(kernel.name, parts[0], kernel.arguments, left)], held
+    taken = (*kernel.arguments, HELD)
+    return [_Function(f"{kernel.name}.{number}", part, taken, left) for number, part in enumerate(parts)], held
 
 
-def _function(name: str, piece: Piece, arguments: list[int], width: int, left: Set[int]) -> str:
-    """Write a piece; `left` are the entries of the result that it does not write."""
+def _merge_constants(group: Sequence[_Function]) -> tuple[_Function, list[list[str]]]:
+    """Return the function that all of one shape are, and the constants that each hands to it: those that differ."""
+    first, bodies = group[0], [function.piece.instructions for function in group]
+    if len(group) == 1:
+        return first, [[]]
+    merged, place = list(bodies[0]), dict[tuple[str, ...], int]()
+    for number, one in enumerate(merged):
+        values = tuple(body[number][1] for body in bodies) if one[0] == "const" else ()
+        if len({*values}) > 1:
+            merged[number] = "input", _CONSTANTS, place.setdefault(values, len(place))
+    if not place:
+        return first, [[] for _ in group]
+    piece, taken = replace(first.piece, instructions=merged), (*first.arguments, _CONSTANTS)
+    return _Function(f"{first.name}.shared", piece, taken, first.left), [[*of] for of in zip(*place, strict=True)]
+
+
+def _write_constants(name: str, values: Iterable[str], width: int) -> str:
+    """Write vectors of constants next to the functions."""
+    w = Writer(width)
+    vectors = [f"{w.vector} {w.const(float.fromhex(value))}" for value in values]
+    kind = f"[{len(vectors)} x {w.vector}]"
+    return f"{name} = internal constant {kind} [{', '.join(vectors)}], align {w.vector.align}\n"
+
+
+def _write_calls(
+    kernel: Kernel, functions: Iterable[_Function], held: int, width: int, called: Mapping[str, tuple[str, list[str]]]
+) -> str:
+    """Write a kernel as calls of its pieces."""
+    w = Writer(width)
+    between = w.buffer(held)
+    for function in functions:
+        name, constants = called[function.name]
+        taken = [str(between) if x == HELD else _argument(x) for x in function.arguments]
+        w.run(f"call void @{name}({', '.join(f'ptr {x}' for x in (*taken, *constants, '%out'))})")
+    return _define_body(kernel.name, kernel.arguments, w)
+
+
+def _write_piece(function: _Function, width: int) -> str:
+    """Write a piece as a function."""
+    name, piece, arguments = function.name, function.piece, function.arguments
     w = Writer(width)
     fetch = _inputs(w, piece.instructions)
     names: dict[int, Vec] = {}
@@ -58,7 +152,7 @@ def _function(name: str, piece: Piece, arguments: list[int], width: int, left: S
     found: dict[tuple[int, int], Bits] = {}  # places of values among knots
     places: dict[int, list[tuple[str, int]]] = {}
     for index, number in piece.results.items():
-        if index not in left:
+        if index not in function.left:
             places.setdefault(number, []).append(("%out", index))
     for index, number in piece.kept.items():
         places.setdefault(number, []).append((_argument(HELD), index))
@@ -76,12 +170,14 @@ def _function(name: str, piece: Piece, arguments: list[int], width: int, left: S
         elif op != "input":
             names[number] = operation(w, op, *(names.get(i) or fetch(i, number) for i in operands))
         for pointer, index in places.get(number, ()):
-            w.store(names.get(number) or fetch(number, number), Ptr(pointer, w.vector), index)
+            value = names.get(number) or fetch(number, number)
+            # Volatile, lest LLVM look for each among all reads before it whether it may go first.
+            w.store(value, Ptr(pointer, w.vector), index, volatile=pointer == _argument(HELD))
     constants = [w.constant(at, map(float.fromhex, piece.instructions[n][1])) for n, at in tables.items()]
     return "".join([*constants, _define_body(name, arguments, w)])
 
 
-def _define_body(name: str, arguments: list[int], w: Writer) -> str:
+def _define_body(name: str, arguments: Iterable[int], w: Writer) -> str:
     """Define a function of a body, its buffers distinct from each other but for what is held, read and written."""
     pointers = [f"ptr noalias nocapture {'' if i == HELD else 'readonly '}align 8 {_argument(i)}" for i in arguments]
     result = "ptr noalias nocapture writeonly align 8 %out"
@@ -90,7 +186,7 @@ def _define_body(name: str, arguments: list[int], w: Writer) -> str:
 
 
 def _argument(number: int) -> str:
-    return "%held" if number == HELD else f"%in{number}"
+    return {HELD: "%held", _CONSTANTS: "%constants"}.get(number, f"%in{number}")
 
 
 def _inputs(w: Writer, instructions: Sequence[Instruction]) -> Callable[[int, int], Vec]:

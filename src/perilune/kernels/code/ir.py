@@ -511,7 +511,7 @@ class Writer:
         kind, how = pointer.kind, "load volatile" if volatile else "load"
         return self.let(kind, f"{how} {kind}, ptr {self.at(pointer, index)}, align {kind.align}")
 
-    def store(self, value: T, pointer: Ptr[T], index: Index = 0) -> None:
+    def store(self, value: T, pointer: Ptr[T], index: Index = 0, *, volatile: bool = False) -> None:
         """Write an element.
 
         Parameters
@@ -522,9 +522,11 @@ class Writer:
             Address of the first element.
         index
             Index of the element.
+        volatile
+            True for a write that the compiler has to leave where it is.
         """
-        kind = pointer.kind
-        self.run(f"store {kind} {value}, ptr {self.at(pointer, index)}, align {kind.align}")
+        kind, how = pointer.kind, "store volatile" if volatile else "store"
+        self.run(f"{how} {kind} {value}, ptr {self.at(pointer, index)}, align {kind.align}")
 
     def by_lane(self, pointer: Ptr[Vec]) -> Ptr[Num]:
         """Return the same memory as doubles, lane after lane of vector after vector."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from perilune.kernels.algebra.program import Program, hoist, trace_function
 from perilune.kernels.algebra.system import ArcSystem
-from perilune.kernels.code.emit import emit_kernel, library
+from perilune.kernels.code.emit import Kernel, emit_kernels, library
 from perilune.kernels.code.ir import INT, Int, Ptr, Writer
 from perilune.kernels.flight.codegen_context import blend
 from perilune.kernels.flight.records import EQUATIONS
@@ -40,8 +40,7 @@ class _EquationsWriter:
         self._once: list[tuple[str, int]] = []  # kernels of the parameters, and where their values go
         self._held: dict[str, int] = {}  # kernel: where the values it needs of them begin
         self._constants = 0  # how many values in all
-        self._functions: list[str] = []
-        self._programs: list[Program] = []
+        self._kernels: list[Kernel] = []
         for mode in range(len(system.modes)):
             self._add(f"field{mode}", system.field_program(mode), (0,), 1)
         if system.events:
@@ -61,13 +60,13 @@ class _EquationsWriter:
                 self._taking(f"{_transition_symbol(*way)}.at", _transition_symbol(*way), "y")
                 for way in self.system.carried
             ]
-        return "\n".join([constant, library(self._programs, self.width), *self._functions, *taking, self._table()])
+        operations = library([kernel.program for kernel in self._kernels], self.width)
+        return "\n".join([constant, operations, emit_kernels(self._kernels, self.width), *taking, self._table()])
 
     def _add(self, name: str, program: Program, arguments: tuple[int, ...], parameters: int) -> None:
         before, during = hoist(program, parameters)
-        self._functions.append(emit_kernel(f"{name}.once", before, (parameters,), self.width))
-        self._functions.append(emit_kernel(name, during, (*arguments, parameters), self.width))
-        self._programs += [before, during]
+        self._kernels.append(Kernel(name=f"{name}.once", program=before, arguments=(parameters,)))
+        self._kernels.append(Kernel(name=name, program=during, arguments=(*arguments, parameters)))
         self._once.append((f"{name}.once", self._constants))
         self._held[name] = self._constants
         self._constants += max(len(before.outputs), 1)
