@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 from pathlib import Path
 
 import casadi as ca
@@ -59,6 +60,36 @@ def test_another_expression_is_another_file(folder: Path) -> None:
     fly(1.0)
     assert fly(2.0) == pytest.approx(np.exp(-2), rel=1e-12)
     assert cache.report_cache().files == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "kept"),
+    [
+        ('"""Code generation: a straight-line', '"""Writing of code: a straight-line', True),
+        ("    # Volatile, lest LLVM", "    # Volatile,\n    # lest LLVM", True),
+        ('"add": "fadd", "sub"', '"add": "fadd",\n    "sub"', True),
+        ("_RECENT = 20", "_RECENT = 21", False),
+        ('"lt": "olt"', '"lt": "ult"', False),
+    ],
+    ids=["docstring", "comment", "layout", "number", "instruction"],
+)
+def test_only_what_changes_the_code_makes_it_anew(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, kept: bool
+) -> None:
+    source = folder.parent / "kernels"
+    shutil.copytree(Path(cache.__file__).parents[1], source, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(cache, "__file__", str(source / "code" / "cache.py"))
+    monkeypatch.setattr(cache, "source_digest", cache.source_digest.__wrapped__)  # which is asked once for each process
+    fly()
+    files = {*folder.glob("*.code")}
+    text = (source / "code" / "emit.py").read_text()
+    assert old in text
+    (source / "code" / "emit.py").write_text(text.replace(old, new))
+    if kept:
+        forbid_compiling(monkeypatch)
+    assert fly() == pytest.approx(np.exp(-1), rel=1e-12)
+    made = {*folder.glob("*.code")} - files
+    assert len(made) == (1 if kept else 3), "the digest of the source; equations and loop"
 
 
 @pytest.mark.parametrize("part", ["empty", "cut", "flipped", "garbage"])
@@ -122,7 +153,7 @@ def test_processes_at_once(folder: Path) -> None:
     with context.Pool(2, initializer=_use, initargs=(str(folder),)) as pool:
         results = pool.map(fly, [1.0, 1.0, 1.0, 1.0])
     np.testing.assert_allclose(results, np.exp(-1), rtol=1e-12)
-    assert [p.suffix for p in folder.iterdir()] == [".code"] * 2  # the equations, and the loop that flies any
+    assert [p.suffix for p in folder.iterdir()] == [".code"] * 3  # the equations, the loop that flies any, the source
 
 
 def _use(folder: str) -> None:

@@ -1,10 +1,11 @@
 """Cache of machine code on disk, between processes.
 
 A file is one object: a line that says what it is, the SHA-256 digest of the content, and the content. Its
-name is the digest of all that the code depends on: expressions, this package's own source, processor and
-versions. Writing goes to a file of its own that is then renamed, so that a second process or a killed writer
-never shows half a file; a file whose digest does not fit is removed and compiled again. Nothing is ever unpickled.
-Where the files grow beyond `MOST_BYTES`, those that were not used for longest go, those of older versions first of all.
+name is the digest of all that the code depends on: expressions, what this package's own source does, processor and
+versions. Comments and docstrings do nothing: who edits them compiles nothing anew. Writing goes to a file of its own
+that is then renamed, so that a second process or a killed writer never shows half a file; a file whose digest does not
+fit is removed and compiled again. Nothing is ever unpickled. Where the files grow beyond `MOST_BYTES`, those that were
+not used for longest go, those of older versions first of all.
 
 The directory is that of the operating system for caches, or the environment variable ``PERILUNE_CACHE``, which
 may also be ``off``. It must be writable by its owner only, since code from it is run.
@@ -12,12 +13,13 @@ may also be ``off``. It must be writable by its owner only, since code from it i
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -61,9 +63,32 @@ def directory() -> Path | None:
 @lru_cache(maxsize=1)
 def source_digest() -> str:
     """Return the digest of the code that generates code, so that no older version's object is taken."""
+    sources = [path.read_bytes() for path in sorted(Path(__file__).parents[1].rglob("*.py"))]
+    digest = hashlib.sha256(b"source")
+    for source in sources:
+        digest.update(hashlib.sha256(source).digest())
+    if directory() is None:
+        return digest.hexdigest()
+    # To read the syntax takes a hundred times as long as to read the files: it is kept, by what they hold.
+    return fetch_object(digest.hexdigest(), lambda: syntax_digest(sources).encode(), enabled=True).decode()
+
+
+def syntax_digest(sources: Iterable[bytes]) -> str:
+    """Return the digest of what modules do: of their syntax trees, without docstrings.
+
+    Parameters
+    ----------
+    sources
+        The text of each module.
+    """
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
+    for source in sources:
+        tree = ast.parse(source)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                if ast.get_docstring(node, clean=False) is not None:
+                    del node.body[0]
+        digest.update(f"{ast.dump(tree)}\n".encode())
     return digest.hexdigest()
 
 
