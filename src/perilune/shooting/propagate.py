@@ -72,13 +72,13 @@ def reduced_equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: 
             values = found[0](whole, p)
             w = ca.SX.sym("w", values.numel())
             rate = found[1](whole, ca.vertcat(p, w))[kept]
-            solved.append(ca.Function("solved", [z, p[known]], [values]))
-        modes.append(ca.Function("rhs", [z, ca.vertcat(p[known], w)], [ca.cse(rate)]))
+            solved.append(_own_symbols("solved", [z, p[known]], values))
+        modes.append(_own_symbols("rhs", [z, ca.vertcat(p[known], w)], ca.cse(rate)))
     switches = tuple(
         replace(
             event,
-            function=ca.Function("S", [z, p[known]], [S]),
-            jump=None if jump is None else ca.Function("jump", [z, p[known]], [jump]),
+            function=_own_symbols("S", [z, p[known]], S),
+            jump=None if jump is None else _own_symbols("jump", [z, p[known]], jump),
         )
         for event, S, jump in zip(extremal.events, crossings, jumps, strict=True)
     )
@@ -89,6 +89,12 @@ def reduced_equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: 
         solved=tuple(solved),
         switches=switches,
     )
+
+
+def _own_symbols(name: str, arguments: list[ca.SX], value: ca.SX) -> ca.Function:
+    """Return a function of symbols that tell nothing of p: equations that differ in no more are compiled once."""
+    own = [ca.SX.sym(f"a{i}", a.numel()) for i, a in enumerate(arguments)]
+    return ca.Function(name, own, ca.Function(name, arguments, [value]).call(own))
 
 
 Pattern = tuple[tuple[bool, ...], ...]  # which entries of the columns S(0) may be nonzero, row by row

@@ -122,7 +122,9 @@ class _Numbering:
                     return self.do("neg", other)
         if op == "neg" and self.instructions[operands[0]][0] == "neg":
             return self.instructions[operands[0]][1]
-        return self.append((op, *(sorted(operands) if op in _COMMUTATIVE else operands)))
+        if op in _COMMUTATIVE and operands[0] > operands[1]:
+            operands = operands[::-1]
+        return self.append((op, *operands))
 
     def _sum(self, op: str, left: int, right: int) -> int:
         """Simplify a sum: a + (-b) is a - b, and a - (-b) is a + b; adding zero is nothing."""
@@ -134,7 +136,7 @@ class _Numbering:
             return left
         if self.value(left) == 0.0:
             return right if op == "add" else self.do("neg", right)
-        return self.append((op, *(sorted((left, right)) if op == "add" else (left, right))))
+        return self.append((op, right, left) if op == "add" and left > right else (op, left, right))
 
     def _power(self, base: int, exponent: int) -> int:
         """Write whole and half powers up to 16 by repeated squaring and a square root."""
@@ -245,17 +247,21 @@ def instruction_operands(instruction: Instruction) -> tuple[int, ...]:
 
 
 def _drop_unused(program: Program) -> Program:
+    instructions = program.instructions
     needed = set(program.outputs)
-    for number in range(len(program.instructions) - 1, -1, -1):
-        if number in needed:
-            needed.update(instruction_operands(program.instructions[number]))
+    for number in range(len(instructions) - 1, -1, -1):
+        if number in needed and instructions[number][0] not in PLAIN:
+            needed.update(instructions[number][1:])
+    if len(needed) == len(instructions):
+        return program
     place: dict[int, int] = {}
     kept: list[Instruction] = []
-    for number, instruction in enumerate(program.instructions):
-        if number in needed:
-            place[number] = len(kept)
-            used = instruction_operands(instruction)
-            kept.append((instruction[0], *(place[i] for i in used)) if used else instruction)
+    for number in sorted(needed):
+        instruction = instructions[number]
+        place[number] = len(kept)
+        if instruction[0] not in PLAIN:
+            instruction = (instruction[0], *[place[i] for i in instruction[1:]])
+        kept.append(instruction)
     return Program(tuple(kept), tuple(place[i] for i in program.outputs))
 
 

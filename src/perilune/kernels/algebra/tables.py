@@ -30,8 +30,10 @@ class _ChoiceChains:
 
     def __init__(self, instructions: tuple[Instruction, ...]) -> None:
         self._of, self.found = instructions, dict[int, _ChoiceChain]()
-        for number in range(len(instructions)):
-            if (chain := self._chain(number)) is not None:
+        chosen = {number for number, one in enumerate(instructions) if one[0] == "if_else_zero"}
+        for number, (op, *operands) in enumerate(instructions) if chosen else ():
+            begins = number in chosen or (op == "add" and chosen.issuperset(operands))
+            if begins and (chain := self._chain(number)) is not None:
                 self.found[number] = chain
 
     def _chain(self, number: int) -> _ChoiceChain | None:
@@ -40,8 +42,6 @@ class _ChoiceChains:
         parts = operands if op == "add" else [number] if op == "if_else_zero" else []
         yes, no = dict[int, int](), dict[int, int]()  # the value by its condition
         for part in parts:
-            if self._of[part][0] != "if_else_zero":
-                return None
             condition, value = self._of[part][1:]
             opposite = self._of[condition][0] == "not"
             (no if opposite else yes)[self._of[condition][1] if opposite else condition] = value
