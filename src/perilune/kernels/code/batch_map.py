@@ -17,7 +17,7 @@ import numpy as np
 from perilune.core import Matrix, PeriluneError
 from perilune.kernels.algebra.program import trace_function
 from perilune.kernels.code import cache as disk, native
-from perilune.kernels.code.emit import Kernel, emit_kernels, library
+from perilune.kernels.code.emit import KernelSource, emit_kernels, library
 from perilune.kernels.code.ir import INT, NUM, Index, Int, Ptr, Vec, Writer
 from perilune.kernels.code.threads import run_in_threads
 
@@ -209,7 +209,7 @@ def _map_module(function: Any) -> str:
         begin += function.size1_in(i)
     w.run(f"call void @flat({', '.join(f'ptr {x}' for x in (*inputs, '%out'))})")
     entry = f"define void @kernel(ptr %held, ptr %out) nounwind {{\n{w.body()}\n  ret void\n}}\n"
-    flat = Kernel(name="flat", program=program, arguments=(*range(len(inputs)),), cleared=True)
+    flat = KernelSource(name="flat", program=program, arguments=(*range(len(inputs)),), cleared=True)
     return "\n".join([library([program], _WIDTH), emit_kernels([flat], _WIDTH), entry])
 
 

@@ -24,7 +24,7 @@ _COMPARISONS = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kernel:
+class KernelSource:
     """A function of a module: ``void name(inputs..., result)``, each a pointer to vectors of lanes.
 
     Attributes
@@ -62,7 +62,7 @@ class _Function:
         return bare, *map(tuple, (piece.results.items(), piece.kept.items())), self.arguments, self.left
 
 
-def emit_kernels(kernels: Iterable[Kernel], width: int) -> str:
+def emit_kernels(kernels: Iterable[KernelSource], width: int) -> str:
     """Return the IR of the kernels of a module.
 
     Modes of the dynamics are often the same equations with other numbers, as those of two layers of an atmosphere:
@@ -94,7 +94,7 @@ def emit_kernels(kernels: Iterable[Kernel], width: int) -> str:
     return "\n".join(texts)
 
 
-def _pieces(kernel: Kernel) -> tuple[list[_Function], int]:
+def _pieces(kernel: KernelSource) -> tuple[list[_Function], int]:
     """Return a kernel in pieces, and how many values are held between them."""
     zero, program = ("const", (0.0).hex()), kernel.program
     left = frozenset(i for i, n in enumerate(program.outputs) if kernel.cleared and program.instructions[n] == zero)
@@ -130,7 +130,11 @@ def _write_constants(name: str, values: Iterable[str], width: int) -> str:
 
 
 def _write_calls(
-    kernel: Kernel, functions: Iterable[_Function], held: int, width: int, called: Mapping[str, tuple[str, list[str]]]
+    kernel: KernelSource,
+    functions: Iterable[_Function],
+    held: int,
+    width: int,
+    called: Mapping[str, tuple[str, list[str]]],
 ) -> str:
     """Write a kernel as calls of its pieces."""
     w = Writer(width)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from perilune.kernels.algebra.program import Program, hoist, trace_function
 from perilune.kernels.algebra.system import ArcSystem
-from perilune.kernels.code.emit import Kernel, emit_kernels, library
+from perilune.kernels.code.emit import KernelSource, emit_kernels, library
 from perilune.kernels.code.ir import INT, Int, Ptr, Writer
 from perilune.kernels.flight.codegen_context import blend
 from perilune.kernels.flight.records import EQUATIONS
@@ -40,7 +40,7 @@ class _EquationsWriter:
         self._once: list[tuple[str, int]] = []  # kernels of the parameters, and where their values go
         self._held: dict[str, int] = {}  # kernel: where the values it needs of them begin
         self._constants = 0  # how many values in all
-        self._kernels: list[Kernel] = []
+        self._kernels: list[KernelSource] = []
         for mode in range(len(system.modes)):
             self._add(f"field{mode}", system.field_program(mode), (0,), 1)
         if system.events:
@@ -65,8 +65,8 @@ class _EquationsWriter:
 
     def _add(self, name: str, program: Program, arguments: tuple[int, ...], parameters: int) -> None:
         before, during = hoist(program, parameters)
-        self._kernels.append(Kernel(name=f"{name}.once", program=before, arguments=(parameters,)))
-        self._kernels.append(Kernel(name=name, program=during, arguments=(*arguments, parameters)))
+        self._kernels.append(KernelSource(name=f"{name}.once", program=before, arguments=(parameters,)))
+        self._kernels.append(KernelSource(name=name, program=during, arguments=(*arguments, parameters)))
         self._once.append((f"{name}.once", self._constants))
         self._held[name] = self._constants
         self._constants += max(len(before.outputs), 1)
