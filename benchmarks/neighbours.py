@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import perilune as pl
-from perilune.methods.indirect.indirect import Indirect
+from perilune import Indirect
 from perilune.methods.indirect.neighboring import Nearby
 from perilune.problem import preflight
 from perilune.scenario import load_file

@@ -37,6 +37,7 @@ from perilune.models import (
     MOON,
     Approach,
     Body,
+    Corridor,
     FinalDescent,
     Ignition,
     Orbit,
@@ -49,7 +50,6 @@ from perilune.models import (
     powered_descent,
     precision_landing,
 )
-from perilune.models.precision.problem import Corridor
 from perilune.problem import Problem, Solution, is_possible, preflight
 from perilune.solve import solve
 from refusals import flown_after_all

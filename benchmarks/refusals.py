@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
+from perilune import Pseudospectral
 from perilune.core import InfeasibleError, NotConvergedError, PeriluneError
-from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models import (
     CERES,
     EUROPA,
@@ -34,6 +34,7 @@ from perilune.models import (
     MOON,
     Approach,
     Body,
+    Corridor,
     Ignition,
     Orbit,
     Retro,
@@ -43,7 +44,6 @@ from perilune.models import (
     powered_descent,
     precision_landing,
 )
-from perilune.models.precision.problem import Corridor
 from perilune.problem import Problem
 from perilune.scenario import load_file
 from perilune.solve import solve

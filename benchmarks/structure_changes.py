@@ -30,8 +30,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from perilune.core import PeriluneError
-from perilune.models import MARS, Approach, Site, UniformGravity, precision_landing
-from perilune.models.precision.problem import Corridor
+from perilune.models import MARS, Approach, Corridor, Site, UniformGravity, precision_landing
 from perilune.problem import Problem, Solution
 from perilune.scenario import load_file
 from perilune.solve import solve

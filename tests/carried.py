@@ -15,14 +15,13 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune import Family, FamilyPoint, export, save
 from perilune.app.messages import flight_message as frame, opening_message
 from perilune.app.source import subject_of
 from perilune.cli import run_command_line
 from perilune.direct.first_guess import first_guesses
-from perilune.families.family import Family, FamilyPoint
 from perilune.io import json_text, solution_document
-from perilune.io.exports.writing import FORMATS, export, to_dataframe, to_xarray
-from perilune.io.save import save
+from perilune.io.exports.writing import FORMATS, to_dataframe, to_xarray
 from perilune.problem import Curve
 from perilune.report.family import family_csv, family_document, family_figure
 from perilune.report.figures import solution_drawings

@@ -12,10 +12,10 @@ from functools import partial
 
 import numpy as np
 
+from perilune import Indirect
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.core import Matrix, Scales, Vector
-from perilune.methods.indirect.indirect import Indirect
 from perilune.problem import (
     Conditions,
     FreeParameter,

@@ -15,11 +15,10 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune import Indirect, Pseudospectral
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.core import PeriluneError
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.indirect.indirect import Indirect
 from perilune.problem import Curve, Problem, Solution, canonical_free, state_scales
 from perilune.shooting.shooting_function import Shooting
 from problems import LIBRARY, Answered

@@ -33,7 +33,7 @@ from websockets.sync.client import ClientConnection, connect
 
 import perilune.app.answers
 from explored import ROOT, atlas_of_the_jump, served
-from perilune import PeriluneError, Problem, Solution
+from perilune import PeriluneError, Problem, Solution, save
 from perilune.app.answers import Answering, meets_path_constraints
 from perilune.app.background import compare_with_cold_start, prove_timed
 from perilune.app.client import MESSAGE, Client, parse_request
@@ -45,7 +45,6 @@ from perilune.app.static_page import build_static_page
 from perilune.app.worker import SupersededWork, WorkerKilled, WorkerProcess, in_thread
 from perilune.cli.commands import run_command
 from perilune.core import InfeasibleError, NotConvergedError, Watch, ignore_events
-from perilune.io.save import save
 from perilune.problem import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve

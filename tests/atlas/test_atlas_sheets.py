@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
+from perilune import Indirect
 from perilune.atlas.building import build as building
 from perilune.atlas.building.tasks import Task, compute_brick
 from perilune.atlas.query.batch_answers import Answered
@@ -28,7 +29,6 @@ from perilune.charts.borders import Borders
 from perilune.charts.chart import Chart
 from perilune.charts.sheet import Sheet
 from perilune.core import ignore_events
-from perilune.methods.indirect.indirect import Indirect
 from perilune.problem import Nature
 from perilune.solve import solve
 from problems.folded import cusp, cusp_cost, cusp_ends, two_cusps, two_cusps_cost

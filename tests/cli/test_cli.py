@@ -15,11 +15,11 @@ import pytest
 
 import perilune as pl
 from command_line import HYBRID, ORDINARY, ROOT, read_json, snapshot
+from perilune import Family, FamilyPoint
 from perilune.cli import options, run_command_line
 from perilune.cli.arguments import parse_command_line
 from perilune.core import InfeasibleError, Iteration, NotConvergedError, Outcome
 from perilune.families.continuation import Continuation
-from perilune.families.family import Family, FamilyPoint
 from perilune.problem import LEVELS, Problem, Solution
 from perilune.verify import verify
 

@@ -11,15 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune import Genetic, Hybrid, Indirect, Pseudospectral, sweep
 from perilune.charts.feasibility import point_feasibility
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.core import NotConvergedError, Outcome, PeriluneError
-from perilune.families.sweep import sweep
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.evolutionary.genetic import Genetic
-from perilune.methods.evolutionary.hybrid import Hybrid
-from perilune.methods.indirect.indirect import Indirect
 from perilune.problem import (
     Check,
     Conditions,

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from perilune import Pseudospectral
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import attainable_conditions, derive
-from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.initializers import ColdStarts
 from perilune.models.descent.coordinates import variables_of_unit
 from perilune.problem import (

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune import Indirect, Pseudospectral
 from perilune.core import InfeasibleError
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.method import Method
 from perilune.problem import Conditions, FreeParameter, Parameter, Problem, end_text, kept_text, preflight
 from perilune.scenario import load_file

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.linalg import get_lapack_funcs
 
+from perilune import Pseudospectral
 from perilune.direct import blocks, interior_point as interior, mesh_error as errors, nlp
 from perilune.direct.collocated_solution import Segment
 from perilune.direct.collocation import Mesh, Polynomial, rule
 from perilune.direct.mesh import refine_mesh
 from perilune.direct.nlp import TranscribedProgram
 from perilune.direct.reduced_space import AddedWeights, ReducedEquations, count_negative_eigenvalues
-from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem import Parameter, Phase, Problem, Unnumbered, Variable, canonical_given
 from problems.ascents import tangent_steering
 from problems.goddard import goddard

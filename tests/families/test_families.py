@@ -21,11 +21,11 @@ import pytest
 
 from cho import cho_landing
 from command_line import read_json
+from perilune import Pseudospectral
 from perilune.cli import run_command_line
 from perilune.core import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
-from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem import Problem
 from perilune.report.family import family_csv
 from perilune.solve import solve

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.core.errors import Outcome, PeriluneError
+from perilune import Outcome, PeriluneError, Problem, Solution
 from perilune.families.batch import Batch
 from perilune.families.solve_many import solve_many
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
 from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham, timed_bryson_denham_truth
 from problems.landings import constant_mass
 

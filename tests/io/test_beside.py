@@ -277,7 +277,7 @@ def test_how_it_was_found_is_not_repeated(hybrid_dir: Path, capsys: pytest.Captu
 
 def test_a_claimed_mesh_error_opens_no_limit(hybrid: Solution) -> None:
     """Level 4 compares within the mesh error, which a file may not choose; nor which method is "another"."""
-    from perilune.methods.direct.pseudospectral import Pseudospectral
+    from perilune import Pseudospectral
 
     told_error = replace(hybrid.statistics, residual=1e6, from_file=True)
     claimed = replace(hybrid, method="pseudospectral", statistics=told_error, extremals=())

@@ -15,11 +15,11 @@ import pytest
 
 import perilune as pl
 from command_line import read_json
+from perilune import Pseudospectral
 from perilune.cli import run_command_line
 from perilune.core import Outcome, PeriluneError
 from perilune.io.model_records import model_document, read_model
 from perilune.io.problem_json import physics_document, read_physics
-from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem import Problem, Solution, Verification
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file, load_text

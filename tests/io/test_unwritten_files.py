@@ -13,8 +13,8 @@ import pytest
 
 import perilune as pl
 from command_line import ORDINARY, read_json, snapshot
+from perilune import Family, FamilyPoint
 from perilune.cli import run_command_line
-from perilune.families.family import Family, FamilyPoint
 from perilune.io import save as export
 from perilune.io.atomic_files import NotWrittenError, fresh_directory
 from perilune.problem import Problem, Solution

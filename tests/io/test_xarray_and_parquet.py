@@ -16,6 +16,7 @@ import pytest
 
 from cho import cho_landing
 from command_line import ROOT, read_json
+from perilune import Family, FamilyPoint, sweep
 from perilune.atlas.building import export as exporting
 from perilune.atlas.building.build import build
 from perilune.atlas.building.export import NodeTable, export
@@ -24,8 +25,6 @@ from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.store.store import MANIFEST
 from perilune.cli import run_command_line
 from perilune.core import Outcome, PeriluneError
-from perilune.families.family import Family, FamilyPoint
-from perilune.families.sweep import sweep
 from perilune.scenario import load_file
 from perilune.solve import solve
 

@@ -21,8 +21,7 @@ from perilune.methods.indirect.diagnosis import bound_unreachable_objective, exp
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.violations import ConstraintViolation, solution_violations
-from perilune.models import EUROPA, MARS, MOON, Approach, Site, Vehicle, precision_landing
-from perilune.models.precision.problem import Corridor
+from perilune.models import EUROPA, MARS, MOON, Approach, Corridor, Site, Vehicle, precision_landing
 from perilune.problem import Check
 from perilune.proof import levels
 from perilune.proof.sufficient.second_variation import KeptConditions

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from perilune import Indirect, Pseudospectral
 from perilune.core import NUMERIC, InfeasibleError, PeriluneError
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.violations import solution_violations
 from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
 from perilune.models.landing.problem import Vehicle

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cho import CHO_MOON, cho_landing
+from perilune import Indirect
 from perilune.core import NUMERIC, InfeasibleError, Outcome, PeriluneError
-from perilune.methods.indirect.indirect import Indirect
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
 from perilune.problem import Nature, Parameter, Problem, Solution
 from perilune.report.summary import solution_summary

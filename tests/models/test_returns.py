@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune import Indirect
 from perilune.core import ignore_events
 from perilune.methods.indirect.diagnosis import active_path_condition
-from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.random_costates import active_set_of_guess
 from perilune.models.deorbit.initial_guess import impulsive_deorbit

@@ -11,10 +11,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from burn_coast_burn import landed_mass
+from perilune import Indirect
 from perilune.core import NUMERIC, NotConvergedError, Outcome, ignore_events
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.export_arcs import ends_well
-from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.initializers import ColdStarts
 from perilune.methods.indirect.search import Search
 from perilune.models.descent.burn_search import add_brief_burn, advance_second_burn, two_burns

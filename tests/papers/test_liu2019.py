@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune import Genetic
 from perilune.atlas.query import minimum_search as descending
 from perilune.atlas.query.minimum_search import MinimumSearch
 from perilune.atlas.query.query import open_atlas
 from perilune.cli import run_command_line
 from perilune.core import NUMERIC, NotConvergedError, Outcome, PeriluneError
-from perilune.methods.evolutionary.genetic import Genetic
 from perilune.problem import Solution
 from perilune.solve import solve
 from perilune_papers.liu2019 import equations, fast as fast_method

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune import Pseudospectral
 from perilune.cli import run_command_line
 from perilune.core import Outcome, PeriluneError
 from perilune.io import required_hamiltonian
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.models import Approach, Site, Vehicle, precision_landing
-from perilune.models.precision.problem import Corridor
+from perilune.models import Approach, Corridor, Site, Vehicle, precision_landing
 from perilune.problem import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.side_and_top_view import track_path

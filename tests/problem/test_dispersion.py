@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune import load, save
 from perilune.core import PeriluneError
-from perilune.io.load import load
-from perilune.io.save import save
 from perilune.models import (
     EARTH,
     Atmosphere,

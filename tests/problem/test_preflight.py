@@ -15,13 +15,14 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
+from perilune import sweep
 from perilune.core import NUMERIC, InfeasibleError, Outcome, PeriluneError
-from perilune.families.sweep import sweep
 from perilune.models import (
     MARS,
     MOON,
     Approach,
     Body,
+    Corridor,
     Ignition,
     Orbit,
     Retro,
@@ -31,7 +32,6 @@ from perilune.models import (
     powered_descent,
     precision_landing,
 )
-from perilune.models.precision.problem import Corridor
 from perilune.problem.controls import UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.presolve import Finding, is_possible, preflight, refuse_impossible, select_findings

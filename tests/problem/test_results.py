@@ -14,10 +14,9 @@ import pytest
 from scipy.integrate import quad
 
 import perilune as pl
+from perilune import Indirect, Pseudospectral
 from perilune.core import Outcome, PeriluneError
 from perilune.io import extremals_document, solution_document
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.display.views import Beside, Views
 from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Result, Solution

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune import Pseudospectral
 from perilune.conditions.pontryagin import derive
 from perilune.core import NUMERIC, NotConvergedError, PeriluneError
-from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.evolutionary.fitness import ControlFitness
 from perilune.methods.indirect.unknowns import residual_scales
 from perilune.problem.casadi_trace import state_scales

@@ -20,10 +20,10 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 import perilune as pl
 from command_line import HYBRID, ROOT, read_json
 from many_problems import transfer
+from perilune import save
 from perilune.cli import run_command_line
 from perilune.core import Outcome, PeriluneError
 from perilune.io import SOLUTION_FILE, solution_document, whole_document
-from perilune.io.save import save
 from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import format_tolerance, quantity_in
 from perilune.report.family import family_csv, family_document

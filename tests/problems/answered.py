@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.indirect.indirect import Indirect
+from perilune import Indirect, Pseudospectral
 from perilune.problem import Problem
 
 Method = Indirect | Pseudospectral

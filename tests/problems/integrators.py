@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from functools import partial
 
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.indirect.indirect import Indirect
+from perilune import Indirect, Pseudospectral
 from perilune.problem import Conditions, FreeParameter, Parameter, Phase, Problem, ScalarControl, Variable
 from problems.answered import Answered
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
+from perilune import Indirect, Pseudospectral
 from perilune.core import Scales
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.indirect.indirect import Indirect
 from perilune.problem import FreeParameter, Parameter, Phase, Problem, Variable
 from problems.answered import Answered
 

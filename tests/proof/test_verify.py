@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, resolve, shoot, solution_of
+from perilune import Pseudospectral
 from perilune.core import Outcome, PeriluneError
-from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models import Retro
 from perilune.models.landing.problem import mass_consistency_checks
 from perilune.problem import (

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from perilune import Indirect, Pseudospectral
 from perilune.core import Outcome, PeriluneError
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.problem import Check, Curve, Nature, Problem, Solution, Verification
 from perilune.proof.cross_check import check_agreement

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.indirect.indirect import Indirect
+from perilune import Indirect
 from perilune.problem import Curve, fix_free_parameters
 from perilune.proof.feasible.phase_data import PhaseData
 from problems.ascents import lunar_ascent

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune import Pseudospectral
 from perilune.core import Outcome
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.models.precision.problem import Corridor
+from perilune.models import Corridor
 from perilune.problem import (
     Check,
     Conditions,

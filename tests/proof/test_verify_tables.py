@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from perilune.core import Outcome
-from perilune.models.precision.problem import Corridor
+from perilune.models import Corridor
 from perilune.problem import Conditions, Curve, Parameter, Phase, Problem, ScalarControl, Solution, Trajectory, Variable
 from perilune.proof.feasible.deviations import state_deviation
 from perilune.proof.feasible.feasibility import STATE_LIMIT

@@ -13,10 +13,9 @@ from matplotlib.colors import to_hex
 
 from cho import cho_landing
 from command_line import ROOT
+from perilune import Family, FamilyPoint, sweep
 from perilune.cli import run_command_line
 from perilune.core import Outcome, PeriluneError
-from perilune.families.family import Family, FamilyPoint
-from perilune.families.sweep import sweep
 from perilune.problem import Solution
 from perilune.report import contour_map as contours
 from perilune.report.contour_map import OVER_WEIGHT, family_map, map_names, require_map

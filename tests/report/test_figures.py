@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from perilune import Family, FamilyPoint
 from perilune.core import Outcome
-from perilune.families.family import Family, FamilyPoint
 from perilune.io import Column
 from perilune.io.save import trajectory_csv
 from perilune.problem import Solution

@@ -14,18 +14,19 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, shoot, solution_of
+from perilune import load, save
 from perilune.core import Outcome, PeriluneError
 from perilune.io import (
     fresh_directory,
     hamiltonian,
+    hash_of,
     json_text,
     per_unit,
     phase_columns,
     results_document,
     solution_document,
 )
-from perilune.io.load import hash_of, load
-from perilune.io.save import save, trajectory_csv
+from perilune.io.save import trajectory_csv
 from perilune.models import Retro
 from perilune.problem import Check, Extremal, Nature, Problem, Solution, Statistics, Verification
 from perilune.report import write_all

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune import Family, FamilyPoint
 from perilune.core import NotConvergedError, Outcome, PeriluneError
-from perilune.families.family import Family, FamilyPoint, failed_point
+from perilune.families.family import failed_point
 from perilune.problem import Extremal, Nature, Solution
 from perilune.report.family import family_csv, family_document, family_figure, write_family
 from perilune_papers.cho2015.case import PRINTED

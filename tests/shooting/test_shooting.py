@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from many_problems import KINDS, Kind
+from perilune import Indirect
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect.continuation.parameter_scan import (
@@ -21,7 +22,6 @@ from perilune.methods.indirect.continuation.parameter_scan import (
     distinct_roots,
     same_vector,
 )
-from perilune.methods.indirect.indirect import Indirect
 from perilune.problem import Problem, Solution
 from perilune.shooting import plan as planning
 from perilune.shooting.continuation import Member

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune import Indirect, Pseudospectral
 from perilune.core import ignore_events
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.methods.indirect.search import Search
 from perilune.problem import Curve, Solution

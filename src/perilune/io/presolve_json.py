@@ -18,7 +18,6 @@ from perilune.io.json_checks import MOST_ENTRIES, refuse_entry, short_text
 from perilune.io.tape_json import tape_of
 from perilune.problem import Expression, Finding, NotAFormula, Problem, Recorder, preflight
 
-COMPARISONS = "comparisons"  # key of what physics says of a problem of the user's own
 _NUMBERS, _FLAGS = ("value", "limit"), ("at_least", "binding", "lasting", "contradiction")
 _UNSTATED = {"lasting": False, "contradiction": False}  # in files that are older than the flag
 _TEXTS = tuple(f.name for f in fields(Finding) if f.name not in (*_NUMBERS, *_FLAGS))

@@ -13,10 +13,10 @@ from typing import Any
 from perilune.core import PeriluneError, UnknownKindError
 from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, WITH_SCENARIO_ONLY, hash_of
 from perilune.io.json_checks import part, refuse_entry, short_text, valued_numbers
-from perilune.io.presolve_json import COMPARISONS, comparisons_document, read_comparisons, same_comparisons
 from perilune.io.problem_json import physics_document, read_physics
 from perilune.problem import Parameter, Problem
 
+_COMPARISONS = "comparisons"  # key of what physics says of a problem of the user's own
 _ROUNDING = 1e-12  # relative, between the numbers of a scenario and those beside it
 
 
@@ -66,9 +66,11 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
         If an entry is not valid, or scenario or model and the expressions differ.
     """
     problem = _stated_problem(document, problem_from_scenario)
-    if COMPARISONS not in document:
+    if _COMPARISONS not in document:
         return problem
-    return problem.changed(preflight=read_comparisons(document[COMPARISONS], problem))
+    from perilune.io.presolve_json import read_comparisons
+
+    return problem.changed(preflight=read_comparisons(document[_COMPARISONS], problem))
 
 
 def _stated_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
@@ -125,10 +127,12 @@ def reread_problem(problem: Problem, places: Sequence[Mapping[str, float]]) -> t
     PeriluneError
         If the presolve checks are no formulas, or their words tell values.
     """
+    from perilune.io.presolve_json import comparisons_document, same_comparisons
+
     document = stated_problem_document(problem)
     again = read_problem({**document, "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION}}, _no_scenario)
     if not same_comparisons(problem, again, places):
-        document[COMPARISONS] = comparisons_document(problem, places)
+        document[_COMPARISONS] = comparisons_document(problem, places)
     return document, again
 
 

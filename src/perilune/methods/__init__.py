@@ -6,6 +6,8 @@ if TYPE_CHECKING:
     from perilune.methods.binding_limit import with_binding_limit
     from perilune.methods.direct.pseudospectral import Pseudospectral
     from perilune.methods.evolutionary.fitness import ControlFitness
+    from perilune.methods.evolutionary.genetic import Genetic
+    from perilune.methods.evolutionary.hybrid import Hybrid
     from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot
     from perilune.methods.indirect.indirect import Indirect
     from perilune.methods.indirect.neighboring import Nearby
