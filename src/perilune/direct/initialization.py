@@ -82,26 +82,26 @@ class FirstMesh:
             better = self.from_least_miss(flown)[1] if flown is not None and winding else None
             return (begin.program, first) if flown is None or better is None else (flown.program, better)
         starts = [begin] if flown is None else [flown, begin] if winding else [begin, flown]
-        return self.any_answer([*starts, *every], (begin.program, first))
+        return self.any_answer([*starts, *every], begin, first)
 
     def any_answer(
-        self, starts: list[Start], first: tuple[TranscribedProgram, ProgramSolution]
+        self, starts: list[Start], begin: Start, first: ProgramSolution
     ) -> tuple[TranscribedProgram, ProgramSolution]:
         """Return the answer from one of the starts, of which the first attempt has failed.
 
         Parameters
         ----------
         starts
-            Starts not tried yet, in the order in which they are tried.
-        first
-            Program and result of the failed first attempt.
+            All starts, in the order in which they are tried.
+        begin, first
+            That of the first attempt, and how it failed.
 
         Raises
         ------
         NotConvergedError
             If no start leads to an answer, with the conditions that the best trajectory misses.
         """
-        tries = [first]
+        tries = [(begin.program, first)]
         misses: list[tuple[TranscribedProgram, ProgramSolution]] = []
         vanished: list[tuple[TranscribedProgram, ProgramSolution]] = []
         flights: list[tuple[TranscribedProgram, ProgramSolution]] = []
@@ -127,6 +127,8 @@ class FirstMesh:
             # A start that leads nowhere spends all it is given: what one of them may take, all of them share.
             share = max(1, self.run.settings.iterations // len(starts))
             for start in starts:
+                if start is begin and share <= BRIEF:
+                    continue  # the first attempt again
                 tries.append((start.program, self.attempt(start, share)))
                 if tries[-1][1].converged:
                     return tries[-1]
@@ -310,7 +312,7 @@ class FirstMesh:
             if missed
             else "raise iterations, give a guess, or loosen nlp_tolerance",
             partial=self.partial(answer, missed),
-            flight=self.run.missing(program, answer),
+            flight=None if self.near else self.run.missing(program, answer),
         )
 
 

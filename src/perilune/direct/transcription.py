@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from perilune.direct.collocated_solution import Segment
     from perilune.direct.layout import PhaseValues
     from perilune.direct.nlp import ProgramSolution, TranscribedProgram
+    from perilune.problem import Trajectory
 
 
 # Of one segment: beyond, its dense blocks make a program slow that many short segments make fast.
@@ -221,6 +222,11 @@ class Run:
         answer
             The trajectory, canonical, as far as its NLP came.
         """
+
+        def made() -> tuple[Trajectory, ...]:
+            with np.errstate(all="ignore"):
+                return tuple(replace(flown, costate=None) for flown in found.trajectories)
+
         with np.errstate(all="ignore"):  # it may lead where the physics is not defined
             found = self.solution(program, answer, self.looked_at(program, answer))
-            return replace(found, trajectories=tuple(replace(flown, costate=None) for flown in found.trajectories))
+        return replace(found, trajectories=Deferred(len(self.problem.phases), made))

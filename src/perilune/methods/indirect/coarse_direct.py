@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from perilune.core import PeriluneError, Vector, Watch, ignore_events, remember_best
-from perilune.direct import ROUGHEST
+from perilune.direct import ROUGHEST, MeshRefinement
 from perilune.methods.indirect.settings import SearchSettings
 from perilune.problem import Problem, Solution, Variable, objective_text, scalars
 from perilune.structures import contacts_in_phase, stays_between_bounds
@@ -133,7 +133,8 @@ class Coarse:
         """Return its answer where nothing limits the states on the way; None where that has none either.
 
         Nor do extremals without arcs know of such limits. A program whose limits leave no room, as that of a dry mass
-        that is only just reached, has no inside from which to be solved.
+        that is only just reached, has no inside from which to be solved; without them it is solved at once, from a
+        straight line or from the flight that misses least, and what is not has other reasons.
         """
         phases = tuple(
             replace(
@@ -146,8 +147,12 @@ class Coarse:
         if all(new == old for new, old in zip(phases, self.problem.phases, strict=True)):
             return None
         self.watch("direct method: without the limits of the states")
-        known = Coarse(self.settings, self.problem.changed(phases=phases, form=None), self.tried, self.watch).solve()
-        return None if known is None else replace(known, problem=self.problem)
+        loose = Coarse(self.settings, self.problem.changed(phases=phases, form=None), self.tried, self.watch)
+        nearest = getattr(self.refusal, "flight", None)
+        for guess in (None,) if nearest is None else (None, nearest):
+            with suppress(PeriluneError):
+                return replace(loose._run(segments=_SEGMENTS, guess=guess, near=True), problem=self.problem)
+        return None
 
     def without_bounds(self, name: str, guess: Solution) -> Solution | None:
         """Return its answer on a finer mesh, from a flight, where nothing bounds one state; None where it has none.
@@ -184,14 +189,20 @@ class Coarse:
     def _broken(self, flight: Solution, share: float) -> bool:
         return any(-values.min() > share * np.ptp(values) for _, values in path_condition_values(self.problem, flight))
 
-    def _run(self, segments: int, iterations: int = 300, guess: Solution | None = None) -> Solution:
+    def _run(
+        self, segments: int, iterations: int = 300, guess: Solution | None = None, *, near: bool = False
+    ) -> Solution:
         from perilune.methods.direct.pseudospectral import Pseudospectral  # and with it much of SciPy
 
         method = self.settings.transcription or Pseudospectral(
             nodes=5, segments=segments, refine=0, iterations=iterations
         )
         try:
-            solution = method.run(self.problem, guess, self.watch)
+            if near:
+                refinement = MeshRefinement(settings=method, problem=self.problem, watch=self.watch)
+                *_, solution = refinement.answers(guess, near=True)
+            else:
+                solution = method.run(self.problem, guess, self.watch)
         except PeriluneError as error:
             self._say(getattr(error, "partial", {}).get("tried", (error.what,)))
             raise
