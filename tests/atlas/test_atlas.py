@@ -46,7 +46,7 @@ from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.atlas.survey.neighbour_seeds import Key, seeds_for_neighbours
 from perilune.charts import polish
 from perilune.charts.chart import Chart, Holds
-from perilune.charts.midpoint_march import extrapolated_step
+from perilune.charts.extrapolated_midpoint import extrapolated_step
 from perilune.charts.reintegrate import ChartReintegration
 from perilune.charts.sheet import Sheet
 from perilune.cli import run_command_line

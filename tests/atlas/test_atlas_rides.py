@@ -23,7 +23,7 @@ from perilune.atlas.survey.survey import _has_negative_arc
 from perilune.charts.arc_sequence import PLAIN, arc_sequence_of
 from perilune.charts.borders import Borders
 from perilune.charts.chart import Chart, Holds
-from perilune.charts.midpoint_march import _admissible_controls
+from perilune.charts.extrapolated_midpoint import _admissible_controls
 from perilune.charts.reintegrate import SLACK, ChartReintegration
 from perilune.charts.sheet import Sheet
 from perilune.core import Matrix, PeriluneError, ignore_events

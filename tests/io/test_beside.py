@@ -494,7 +494,7 @@ def test_physics_that_cannot_be_computed_is_not_proved(
 
 
 def test_a_flight_without_end_is_not_proved(hybrid: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("perilune.proof.feasible.repropagate.MOST_EVALUATIONS", 50)
+    monkeypatch.setattr("perilune.proof.feasible.reintegration.MOST_EVALUATIONS", 50)
     checks = {c.name: c for c in pl.verify(hybrid, level=1).verification.checks}
     assert not checks["computable"].passed
     assert "more than 50 evaluations" in checks["computable"].meaning

@@ -10,7 +10,7 @@ import pytest
 import perilune as pl
 from perilune.models import Body, Orbit, Retro, Vehicle, hybrid_landing
 from perilune.proof.feasible.deviations import MOST_GROWTH, _error_growth
-from perilune.proof.feasible.repropagate import reintegrate
+from perilune.proof.feasible.reintegration import reintegrate
 
 PHOBOS = Body(name="phobos", gravitational_parameter=7.087e5, radius=11.1e3, rotation_rate=2.28e-4)
 

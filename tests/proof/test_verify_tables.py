@@ -18,7 +18,7 @@ from perilune.problem import Conditions, Curve, Parameter, Phase, Problem, Scala
 from perilune.proof.feasible.deviations import state_deviation
 from perilune.proof.feasible.feasibility import STATE_LIMIT
 from perilune.proof.feasible.phase_data import PhaseData
-from perilune.proof.feasible.repropagate import reintegrate
+from perilune.proof.feasible.reintegration import reintegrate
 from perilune.proof.feasible.sample_points import (
     POINTS,
     UP_TO,

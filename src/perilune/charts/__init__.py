@@ -19,8 +19,8 @@ if TYPE_CHECKING:
         line_places,
         same_unknowns,
     )
+    from perilune.charts.extrapolated_midpoint import MarchedMargins
     from perilune.charts.feasibility import Allowed, point_feasibility
-    from perilune.charts.midpoint_march import MarchedMargins
     from perilune.charts.open_chart import OpenChart
     from perilune.charts.point_solver import PointExtremals, PointSolver
     from perilune.charts.polish import Polished

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from perilune.charts.borders import Borders
 from perilune.charts.bound_status import SLACK, conjunction
 from perilune.charts.chart import Chart, orientation
-from perilune.charts.midpoint_march import MarchedMargins
+from perilune.charts.extrapolated_midpoint import MarchedMargins
 from perilune.charts.reintegrate import BoundReintegration, ChartReintegration, ReintegratedExtremals
 from perilune.charts.sheet import Sheet
 from perilune.core import Matrix, Vector

@@ -1,4 +1,4 @@
-"""Independent re-integration of an extremal: end conditions, and margins along the path.
+"""Second flight of an extremal, an independent re-integration by Gragg's extrapolated midpoint rule of order 8.
 
 The machine code of shooting uses Dormand and Prince's pair of order 8 with adaptive steps. Here the canonical equations
 are integrated in equal steps by extrapolation of Gragg's midpoint rule to order 8, from the unknowns only, and the
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from perilune.charts.bound_status import SLACK
 from perilune.charts.chart import Chart
-from perilune.charts.midpoint_march import (
+from perilune.charts.extrapolated_midpoint import (
     NOTHING_SEEN,
     MarchedMargins,
     end_function,
@@ -234,14 +234,14 @@ class ChartReintegration:
         return tuple(found)
 
     def start_map(self, k: int) -> Map:
-        """Compile `midpoint_march.start_function`."""
+        """Compile `extrapolated_midpoint.start_function`."""
         if k not in self._start_maps:
             self._start_maps[k] = compile_map(start_function(self.conditions, k))
         return self._start_maps[k]
 
     @cached_property
     def ended(self) -> Map:
-        """Compile `midpoint_march.end_function`."""
+        """Compile `extrapolated_midpoint.end_function`."""
         return compile_map(end_function(self.conditions, self._boundary_arcs))
 
     def march(self, k: int, mode: int) -> Map:

@@ -1,4 +1,4 @@
-"""Answers of commands, for people and for programs, with their exit codes."""
+"""Answers of commands, for people and for programs, with their exit codes, which are those of `Outcome`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Outcomes of computations, and errors that state why one failed.
 
-Every answer leaves with an `Outcome`, whose value is the advice. Every refusal is a `PeriluneError` that says *what* is
-wrong, what was *got*, what was *expected* and what to *try*.
+Every answer leaves with an `Outcome`, whose value is the advice, and which has its exit code. Every refusal is a
+`PeriluneError` that says *what* is wrong, what was *got*, what was *expected* and what to *try*.
 """
 
 from __future__ import annotations

@@ -28,11 +28,11 @@ _FORM = "a list of {name: value}, {name: values}, or a frame of pandas"
 
 @dataclass(frozen=True, kw_only=True)
 class PointTable:
-    """Values of parameters [SI], (points, d), and by the number of a point why it is refused."""
+    """Values of parameters [SI], (points, d), and by the number of a point why its values cannot be read."""
 
     names: tuple[str, ...]
     values: Matrix
-    refused: Mapping[int, str]
+    unreadable: Mapping[int, str]
 
 
 def read_points(problem: Problem, points: Points) -> PointTable:
@@ -61,7 +61,7 @@ def read_points(problem: Problem, points: Points) -> PointTable:
     if not names:
         raise PeriluneError("the points name no parameter", got="no column", expected=_FORM)
     count = len(next(iter(columns.values())))
-    values, refused = np.empty((count, len(names))), dict[int, str]()
+    values, unreadable = np.empty((count, len(names))), dict[int, str]()
     for k, (heading, column) in enumerate(columns.items()):
         if len(column) != count:
             raise PeriluneError(
@@ -72,8 +72,8 @@ def read_points(problem: Problem, points: Points) -> PointTable:
         values[:, k] = factors[k] * _numbers(column)
         for i in np.nonzero(~np.isfinite(values[:, k]))[0].tolist():
             what = "is missing" if i in gaps.get(heading, ()) else f"is no finite number: got {str(column[i])[:40]}"
-            refused.setdefault(i, f"{names[k]} {what}")
-    return PointTable(names=tuple(names), values=values, refused=refused)
+            unreadable.setdefault(i, f"{names[k]} {what}")
+    return PointTable(names=tuple(names), values=values, unreadable=unreadable)
 
 
 def _columns(points: Points) -> tuple[Mapping[str, Any], Mapping[str, set[int]]]:

@@ -29,12 +29,12 @@ from perilune.families.batch import OUTCOMES, Batch, BatchPart, solution_in_part
 from perilune.families.family import failure_outcome
 from perilune.families.points import Points, PointTable, read_points
 from perilune.methods import Indirect
-from perilune.problem import LEVELS, Problem, Solution, refused_rows
+from perilune.problem import LEVELS, Problem, Solution, rows_out_of_range
 from perilune.solve import require_time_limit, solve
 from perilune.verify import verify as verify_solution
 
 _TOGETHER = 4096  # points in lanes at once, so that their numbers fit into a cache
-_OPEN = OUTCOMES.index(Outcome.INTERRUPTED)  # until there is another
+_UNSOLVED = OUTCOMES.index(Outcome.INTERRUPTED)  # what has no other outcome when the user stops it
 
 _UNREACHED = "the known solution does not lead there, and nothing else was tried (search=False)"
 
@@ -103,12 +103,12 @@ class _Work:
     def __init__(self, problem: Problem, table: PointTable, known: Solution) -> None:
         count = len(table.values)
         self.problem, self.names, self.values, self.known = problem, table.names, table.values, known
-        self.codes, self.levels = np.full(count, _OPEN, dtype=np.int8), np.zeros(count, dtype=np.int8)
+        self.codes, self.levels = np.full(count, _UNSOLVED, dtype=np.int8), np.zeros(count, dtype=np.int8)
         self.messages, self.alone = dict[int, str](), dict[int, Solution]()
         self.parts = list[BatchPart]()
 
-        self.messages.update(table.refused)
-        self.codes[list(table.refused)] = OUTCOMES.index(Outcome.REFUSED)
+        self.messages.update(table.unreadable)
+        self.codes[list(table.unreadable)] = OUTCOMES.index(Outcome.REFUSED)
 
     def done(self, say: Callable[[str], None], level: int, *, search: bool, limit: float) -> Batch:
         """Solve everything, or until the user stops it."""
@@ -127,8 +127,8 @@ class _Work:
 
     def screen(self) -> None:
         """Refuse points whose values are none of the problem, or that physics forbids."""
-        left = np.nonzero(self.codes == _OPEN)[0]
-        refused = refused_rows(self.problem, self.names, self.values[left])
+        left = np.nonzero(self.codes == _UNSOLVED)[0]
+        refused = rows_out_of_range(self.problem, self.names, self.values[left])
         self.codes[left[refused]] = OUTCOMES.index(Outcome.REFUSED)
         left = left[~refused]
         if len(left):
@@ -142,14 +142,14 @@ class _Work:
         except PeriluneError as error:
             say(f"every point is solved alone: {error.what}")
             return
-        self._solve_part(solver, np.nonzero(self.codes == _OPEN)[0], say)
+        self._solve_part(solver, np.nonzero(self.codes == _UNSOLVED)[0], say)
 
     def solve_around_nodes(self, say: Callable[[str], None], limit: float) -> None:
         """Solve nodes of the lattice around the known solution anew, and from each the points near it that are left.
 
         So points at which the best flight has other arcs are solved together too.
         """
-        left = np.nonzero(self.codes == _OPEN)[0]
+        left = np.nonzero(self.codes == _UNSOLVED)[0]
         if not (len(left) and self.parts):
             return
         nodes, which = np.unique(self.parts[0].solver.nearest_nodes(self.values[left]), axis=0, return_inverse=True)
@@ -180,14 +180,14 @@ class _Work:
 
     def leave_unreached(self) -> None:
         """Enter the points that the lanes do not reach as not converged."""
-        left = np.nonzero(self.codes == _OPEN)[0]
+        left = np.nonzero(self.codes == _UNSOLVED)[0]
         self.codes[left] = OUTCOMES.index(Outcome.NOT_CONVERGED)
         self.messages.update(dict.fromkeys(left.tolist(), _UNREACHED))
 
     def solve_alone(self, say: Callable[[str], None], level: int, limit: float) -> None:
         """Prove what the lanes found, where a level is asked for, and solve one by one what is left."""
         solved = OUTCOMES.index(Outcome.SOLVED)
-        todo = np.nonzero((self.codes == _OPEN) | (self.codes == solved) & (level > 0))[0].tolist()
+        todo = np.nonzero((self.codes == _UNSOLVED) | (self.codes == solved) & (level > 0))[0].tolist()
         for number, i in enumerate(todo, 1):
             say(f"{number} of {len(todo)} points {'proved or ' if level else ''}solved alone")
             try:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         trace_rates,
         trace_sides,
     )
-    from perilune.problem.checks import refused_rows
+    from perilune.problem.checks import rows_out_of_range
     from perilune.problem.controls import (
         Control,
         Regime,

@@ -1,4 +1,4 @@
-"""Consistency checks of a problem: names that exist, values that are finite, physics that keeps its units.
+"""Consistency checks of a problem: names that exist, values in their declared ranges, physics that keeps its units.
 
 The physics is tried where it is stated: called at a sample of states and controls, once in SI and once in other units.
 The functions here take a `Problem`, whose file stands above this one.
@@ -125,7 +125,7 @@ def check_given(problem: Any) -> None:
         check_values(record, vars(problem.parameters({})))
 
 
-def refused_rows(problem: Any, names: Sequence[str], values: Matrix) -> NDArray[np.bool_]:
+def rows_out_of_range(problem: Any, names: Sequence[str], values: Matrix) -> NDArray[np.bool_]:
     """Return True for rows of values that `Problem.with_given` would refuse as they are no values of the parameters.
 
     Parameters

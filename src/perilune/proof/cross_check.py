@@ -26,7 +26,7 @@ from perilune.methods import Method
 from perilune.problem import Check, Conditions, Extremal, Nature, Phase, Problem, Solution, fix_free_parameters
 from perilune.proof.feasible.feasibility import check_feasibility
 from perilune.proof.feasible.phase_data import PhaseData, objective_size
-from perilune.proof.feasible.repropagate import reintegrate
+from perilune.proof.feasible.reintegration import reintegrate
 
 if TYPE_CHECKING:
     from perilune.structures import Structure

@@ -19,7 +19,7 @@ from perilune.problem import LEVELS, OWN_TEXT, Check, Problem, Solution, Toleran
 from perilune.proof.cross_check import check_agreement
 from perilune.proof.feasible.feasibility import check_feasibility, check_tables
 from perilune.proof.feasible.phase_data import PhaseData
-from perilune.proof.feasible.repropagate import reintegrate
+from perilune.proof.feasible.reintegration import reintegrate
 from perilune.proof.necessary.constraint_activity import may_meet_condition
 from perilune.proof.necessary.first_order import check_extremality
 from perilune.proof.necessary.terminal_bounds import with_end_bounds

@@ -5,9 +5,9 @@ The step is dy = -J^-1 h. Damping alpha is accepted when the *simplified* correc
 side. Damping and outcome belong to the lane; a lane that has ended drops out.
 
 Early iterates are computed with a tolerance fitted to their residual (an inexact Newton method); none counts as
-converged before it is computed at the full one. Where damping does not help a step that came of a rough evaluation, the
-iterate is computed again, and that lane accurately from then on. Where no step improves a residual that is round-off,
-that is a root.
+converged (`_accepted_and_converged`) before it is computed at the full one. Where damping does not help a step that
+came of a rough evaluation, the iterate is computed again, and that lane accurately from then on. Where no step improves
+a residual that is round-off, that is a root.
 
 Source: Deuflhard, *Newton Methods for Nonlinear Problems*, Springer 2011, sections 2.1 (inexact) and 3.3 (natural
 monotonicity).
@@ -266,7 +266,7 @@ def _newton_many_lanes(
         coarsest = np.where(again, FINEST, coarsest)  # a lane misled once is evaluated accurately from then on
         finer = np.clip(_FORCING * (row[:, 0] * row[:, 0]), FINEST, coarsest)
         new = evaluate(lanes, trial, finer, row[:, columns.inverse])
-        good, root = _judge_trial(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
+        good, root = _accepted_and_converged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
         ends.iterations[lanes] += good & ~again
         # What damped the steps was the rough evaluation: from the better one the whole step is tried.
         after = np.where(again, 1.0, np.where(good, np.minimum(1.0, 2.0 * alpha), 0.5 * alpha))
@@ -311,7 +311,7 @@ def _newton_one_lane(
         finer = min(max(_FORCING * (head[0] * head[0]), FINEST), coarsest)
         new = evaluate(lanes, trial, np.array([finer]), row[:, columns.inverse])
         number, ahead = number + 1, new[0, :4].tolist()
-        good, root = _judge_trial(head, ahead, alpha, flown, finer, again, tolerance)
+        good, root = _accepted_and_converged(head, ahead, alpha, flown, finer, again, tolerance)
         if good and not again:
             history.append(Iteration(number=len(history) + 1, residual=ahead[0], step=head[2], damping=float(alpha)))
             if watch is not None:
@@ -332,7 +332,7 @@ def _newton_one_lane(
     )
 
 
-def _judge_trial(
+def _accepted_and_converged(
     row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, tolerance: float
 ) -> tuple[Any, Any]:
     """Return whether a trial is accepted, and whether it reaches a root: of numbers, or of arrays of lanes.

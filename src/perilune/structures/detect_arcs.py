@@ -1,4 +1,4 @@
-"""Detection of boundary arcs and contact points in an answer without arcs, such as a direct one: S >= 0 active.
+"""Detection of free arcs, boundary arcs and contact points of conditions S >= 0 in an answer without arcs.
 
 On a mesh S is near 0 and not 0: between its points S falls below 0, and bulges above by some times as much. A flight
 with a *contact point* S = 0 leaves it like t^2: S is below 4 times a level for twice as long as below it. On a

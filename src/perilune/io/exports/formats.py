@@ -1,4 +1,4 @@
-"""Export formats: which one is asked for, by its name or by the ending of the file's name."""
+"""Export formats by their names or endings; the writer of each is chosen in `perilune.io.exports.writing`."""
 
 from __future__ import annotations
 

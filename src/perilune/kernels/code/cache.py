@@ -93,7 +93,7 @@ def syntax_digest(sources: Iterable[bytes]) -> str:
 
 
 def object_key(*parts: str) -> str:
-    """Return the digest of everything an object depends on."""
+    """Return the digest of all that an object depends on: this package's source, then parts such as equations."""
     digest = hashlib.sha256()
     for part in (source_digest(), *parts):
         digest.update(f"{len(part)}:".encode() + part.encode())

@@ -1,4 +1,7 @@
-"""Records of a return: the sections of its file, each number with its unit, its range and its meaning."""
+"""Records of a return: the sections of its file, with unit, range, meaning and source of each number.
+
+A key of a section is the parameter with both names in the problem: `constant` of ``[heating]`` is `heating_constant`.
+"""
 
 from __future__ import annotations
 

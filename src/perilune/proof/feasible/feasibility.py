@@ -1,7 +1,7 @@
 """Level 1, feasible: the exported control, integrated by another integrator, does what the solution says.
 
-From x(0) = start(p) each phase is flown with the control read from the export (`repropagate`); the end conditions, the
-states along the arc, path constraints, bounds and the objective are recomputed only from that flight, inside every
+From x(0) = start(p) each phase is flown with the control read from the export (`reintegration`); the end conditions,
+the states along the arc, path constraints, bounds and the objective are recomputed only from that flight, inside every
 piece of every table (`sample_points`).
 """
 
@@ -16,7 +16,7 @@ from perilune.core import COMPLEX, NUMERIC, Matrix, PeriluneError, Vector
 from perilune.problem import Check, Solution, control_slices
 from perilune.proof.feasible.deviations import MOST_GROWTH
 from perilune.proof.feasible.phase_data import PhaseData, end_slopes, free_size, objective_slope, slopes_at
-from perilune.proof.feasible.repropagate import Reintegration, smooth_pieces
+from perilune.proof.feasible.reintegration import Reintegration, smooth_pieces
 from perilune.proof.feasible.sample_points import (
     ENDS,
     cubic_turning_points,
@@ -57,7 +57,7 @@ def check_feasibility(solution: Solution, flown: Sequence[tuple[PhaseData, Reint
     solution
         What is claimed.
     flown
-        Of `repropagate.reintegrate`.
+        Of `reintegration.reintegrate`.
     """
     for arc, flight in flown:
         yield from _check_times(arc)

@@ -39,7 +39,7 @@ from perilune.proof.feasible.phase_data import (
     objective_slope,
     slopes_at_end,
 )
-from perilune.proof.feasible.repropagate import Reintegration
+from perilune.proof.feasible.reintegration import Reintegration
 from perilune.proof.feasible.sample_points import time_just_before
 from perilune.proof.necessary.minimum_principle import HAMILTONIAN_LIMIT, check_minimality, limit_derivatives
 
@@ -61,7 +61,7 @@ def check_extremality(solution: Solution, flown: Sequence[tuple[PhaseData, Reint
     solution
         What is claimed.
     flown
-        Of `repropagate.reintegrate`.
+        Of `reintegration.reintegrate`.
     """
     if any(t.costate is None for t in solution.trajectories):
         yield Check(

@@ -1,4 +1,4 @@
-"""Level 3, locally optimal: strict Legendre conditions, and a positive second variation: no conjugate point.
+"""Level 3, locally optimal: strict Legendre and Kelley conditions, and a second variation without conjugate point.
 
 Among all admissible small variations of control, initial state, durations and switching times, those that keep
 the end conditions, the second variation

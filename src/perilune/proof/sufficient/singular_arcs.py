@@ -1,4 +1,4 @@
-"""Level 3 of singular arcs: Kelley's condition, and the second variation as Goh transforms it.
+"""Terms of level 3 on singular arcs: of Kelley's condition, and of the second variation as Goh transforms it.
 
 Where H is linear in a scalar u and its slope vanishes for a while, the second variation has no du^2 in it and its
 control du may be an impulse. With y the integral of du, and xi = dx - B y, B = f_u, by parts

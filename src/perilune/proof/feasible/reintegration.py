@@ -1,4 +1,4 @@
-"""Independent re-integration of every phase by its exported control, twice.
+"""Independent re-integration of every phase by its exported control: SciPy's DOP853, and Gauss's collocation.
 
 By SciPy's DOP853 from break to break, with steps of its own choice: an integrator that knows nothing of the tables.
 And by Gauss's collocation of order 8 on all pieces of the tables at once: one Newton step from the tables themselves.

@@ -1,4 +1,4 @@
-"""Fixed-step midpoint integration of an extremal: a phase's start, equal steps with margins, end conditions.
+"""Equal steps of Gragg's extrapolated midpoint rule, of order 8, with margins: start, steps and end of a phase.
 
 Steps are those of the extrapolated midpoint rule.
 
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from perilune.charts import midpoint_march as singular
+from perilune.charts import extrapolated_midpoint as singular
 from perilune.charts.bound_status import SLACK, conjunction
 from perilune.charts.multiplier_signs import NOTHING, ChartBoundaryArcs
 from perilune.conditions import OptimalityConditions, PhaseExtremal, hamiltonian_at, limit_symbols
