@@ -100,7 +100,9 @@ class _Numbering:
 
     def do(self, op: str, *operands: int) -> int:
         """Append one operation after the rewrites that need no knowledge of its uses."""
-        if op in ("assign",):
+        if op in ("add", "sub"):
+            return self._sum(op, *operands)
+        if op == "assign":
             return operands[0]
         if op == "sq":
             return self.do("mul", operands[0], operands[0])
@@ -110,8 +112,6 @@ class _Numbering:
             return self.do("div", self.const(1.0), operands[0])
         if op == "pow":
             return self._power(*operands)
-        if op in ("add", "sub"):
-            return self._sum(op, *operands)
         if op == "div" and (divisor := self.value(operands[1])) and math.isfinite(1 / divisor):
             return self.do("mul", operands[0], self.const(1 / divisor))
         if op == "mul":
@@ -165,7 +165,7 @@ class _Numbering:
             elif op == "div" and operands[1] in self._shared_divisors:
                 place.append(self.do("mul", place[operands[0]], self.do("inv", place[operands[1]])))
             else:
-                place.append(self.do(op, *(place[i] for i in operands)))
+                place.append(self.do(op, *[place[i] for i in operands]))
         return place
 
 
@@ -221,7 +221,7 @@ def trace_function(function: Any) -> Program:
         elif op == ca.OP_INPUT:
             slots[target] = numbering.append(("input", *function.instruction_input(k)))
         elif op in names:
-            slots[target] = numbering.do(names[op], *(slots[i] for i in function.instruction_input(k)))
+            slots[target] = numbering.do(names[op], *[slots[i] for i in function.instruction_input(k)])
         else:
             raise PeriluneError(
                 f"the operation {_casadi_names().get(op, op)} in {function.name()!r} has no machine code",
