@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import perilune as pl
 from perilune import Outcome, PeriluneError, Problem, Solution
 from perilune.families.batch import Batch
+from perilune.families.points import read_points
 from perilune.families.solve_many import solve_many
 from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham, timed_bryson_denham_truth
 from problems.landings import constant_mass
@@ -58,6 +60,33 @@ def test_bounds_are_taken_and_released() -> None:
     batch = solve_many(problem, {"ceiling": ceilings})
     truth = [min(timed_bryson_denham_truth(h, T, 3.0) for T in np.linspace(0.5, 2.0, 200001)) for h in ceilings]
     assert batch.objective == pytest.approx(truth, rel=1e-8)
+
+
+def braked(most: float) -> Problem:
+    """From rest to rest over 1 m in 1 s with the least int u^2/2, where u = 6 - 12 t, and u >= -most on the path."""
+    swing = bryson_denham(0.3).phases[0]
+    phase = replace(
+        swing,
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.way, x.v), place="m", rest="m/s"),
+        path=pl.Conditions(lambda x, u, p, xp: (u.u + p.most,), room="m/s^2"),
+        end_guess=lambda p, xp: (p.way, 0 * p.way, 6 * p.way**2),
+    )
+    given = {"T": (1.0, "s"), "way": (1.0, "m"), "most": (most, "m/s^2")}
+    return replace(
+        bryson_denham(0.3),
+        phases=(phase,),
+        start=lambda p, xp: (0 * p.way, 0 * p.way / p.T, 0 * p.way),
+        given={name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
+    )
+
+
+def test_a_control_that_breaks_the_path_at_the_end_does_not_answer() -> None:
+    """Below 6 m/s^2 the brakes are too weak just before the end: u is linear until t = 3/2 - 3/most."""
+    brakes = np.array([6.1, 5.99, 5.95, 5.8, 5.5])
+    batch = solve_many(braked(6.2), {"most": brakes})
+    truth = np.where(brakes < 6, brakes**2 * (2 / (3 * (1.5 - 3 / brakes)) - 0.5), 6.0)
+    assert batch.objective == pytest.approx(truth, rel=1e-11)
+    assert pl.verify(batch.solution(2), 2).outcome is Outcome.PROVED
 
 
 def test_lanes_have_the_effort_of_a_constant_mass() -> None:
@@ -129,6 +158,28 @@ def test_forms_of_points_are_the_same(landing: Problem, known: Solution) -> None
         assert batch.objective == pytest.approx(found[0].objective, rel=1e-12)
 
 
+def test_values_that_are_hidden_or_no_numbers_refuse_their_points(landing: Problem) -> None:
+    pandas = pytest.importorskip("pandas")
+    columns: list[Any] = [
+        np.ma.array([430.0, 440.0], mask=[False, True]), [430.0, 440 + 0j], [430.0, True],
+        pandas.Series([430, None], dtype="Int64", index=[7, 7]),
+    ]  # fmt: skip
+    for column in columns:
+        refused = read_points(landing, {"vehicle.thrust": column}).refused
+        assert list(refused) == [1] and refused[1].startswith("vehicle_thrust is no finite number")
+
+
+def test_points_may_name_a_free_parameter(landing: Problem, known: Solution) -> None:
+    """It is given then, and no longer chosen: at its best value the answer is that of the problem."""
+    best = known.free["retro_delta_v"]
+    batch = solve_many(landing, {"retro_delta_v": [best, 0.8 * best, -1.0]}, known)
+    assert batch.outcomes.tolist() == ["SOLVED", "SOLVED", "REFUSED"] and set(batch.free) == {"flight_time"}
+    assert batch.objective[0] == pytest.approx(known.objective, rel=1e-10)
+    assert batch.slopes[0, 0] == pytest.approx(0.0, abs=1e-6) and batch.slopes[1, 0] < 0.0
+    alone = pl.solve(batch.problem_of(1), verify=0)
+    assert batch.solution(1).objective == pytest.approx(alone.objective, rel=1e-9) == batch.objective[1]
+
+
 def test_bad_rows_lose_no_others(landing: Problem, known: Solution) -> None:
     rows: list[dict[str, Any]] = [
         {"vehicle.thrust": 440.0}, {"vehicle.thrust": -1.0}, {"vehicle.thrust": float("nan")}, {},
@@ -184,6 +235,7 @@ def test_frames_have_a_row_for_each_point(landing: Problem, known: Solution) -> 
         ([3], "a point"),
         ({"thrust": [1.0]}, "no parameter of this name|there is no parameter"),
         ({"vehicle.thrust": 3.0}, "valid column"),
+        ({"vehicle.thrust": [[1.0], [1.0, 2.0]]}, "valid column"),
         ({"vehicle.thrust [kg]": [1.0]}, "another kind"),
         ({"vehicle.thrust [frob]": [1.0]}, "unknown"),
         ({"vehicle.thrust": [1.0, 2.0], "vehicle.mass": [1.0]}, "differ in length"),

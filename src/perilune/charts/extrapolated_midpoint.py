@@ -189,9 +189,10 @@ def step_along(rides: ChartBoundaryArcs, k: int, mode: int) -> ca.Function:
     after = extrapolated_step(lambda point: extremal.modes[mode](point, numbers), z, h)
     path, minimum, value, smooth = _margins_at(rides, k, mode, z, numbers, free)
     dip = _minimum_inside_step(smooth, lambda point: extremal.modes[mode](point, numbers), z, after, h)
+    behind = _margins_at(rides, k, mode, after, numbers, free)[0]  # a control may break it within the last step
     bent = singular.kelley_terms(rides.stated, rides.stated.phases[k], extremal, mode, z, numbers, free)
     seen = [
-        ca.mmin(ca.vertcat(state[size], path, dip)),
+        ca.mmin(ca.vertcat(state[size], path, dip, behind)),
         ca.fmin(state[size + 1], minimum),
         ca.fmin(state[size + 2], value),
         ca.fmax(state[size + 3], value),

@@ -79,7 +79,7 @@ def read_points(problem: Problem, points: Points) -> PointTable:
 def _columns(points: Points) -> tuple[Mapping[str, Any], Mapping[str, set[int]]]:
     """Return the columns of points, and for each the numbers of the points in which it is missing."""
     if isinstance(points, Mapping):
-        named = {str(name): points[name] for name in points}
+        named = {str(name): _plain(points[name]) for name in points}
     elif hasattr(points, "columns") and hasattr(points, "__getitem__"):
         named = {str(name): np.asarray(points[name]) for name in points.columns}
     elif isinstance(points, str) or not isinstance(points, Iterable):
@@ -93,21 +93,34 @@ def _columns(points: Points) -> tuple[Mapping[str, Any], Mapping[str, set[int]]]
         gaps = {name: {i for i, row in enumerate(rows) if name not in row} for name in names}
         return {name: [row.get(name, np.nan) for row in rows] for name in names}, gaps
     for name, column in named.items():
-        if isinstance(column, str) or not hasattr(column, "__len__") or np.ndim(column) != 1:
+        if isinstance(column, str) or not hasattr(column, "__len__") or _dimensions(column) != 1:
             raise wrong_type_error(column, "a list of numbers", f"a valid column {name}")
     return named, {}
 
 
+def _plain(column: Any) -> Any:
+    """Return a column that has an index of its own, as a series of pandas, as an array."""
+    return np.asarray(column) if hasattr(column, "iloc") else column
+
+
+def _dimensions(column: Any) -> int:
+    """Return the number of dimensions of a column; 0 for lists in it of several lengths."""
+    try:
+        return np.ndim(column)
+    except ValueError:
+        return 0
+
+
 def _numbers(column: Sequence[Any]) -> Any:
     """Return a column as floats, NaN for what is none."""
-    array = np.asarray(column)
-    if array.dtype.kind in "fiu":
-        return array.astype(float)
+    array = column if isinstance(column, (list, tuple)) else np.ma.asarray(column)
+    if isinstance(array, np.ma.MaskedArray) and array.dtype.kind in "fiu":
+        return np.ma.filled(array.astype(float), np.nan)
     return np.array([_number(value) for value in column], dtype=float)
 
 
 def _number(value: Any) -> float:
-    if isinstance(value, (str, bytes, bool, np.bool_)):  # a text may have a unit, and would be read past it
+    if isinstance(value, (str, bytes, bool, np.bool_, complex, np.complexfloating)):  # a text may have a unit
         return np.nan
     try:
         return float(value)

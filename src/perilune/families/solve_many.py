@@ -94,6 +94,9 @@ def solve_many(
     limit, say = require_time_limit(time_limit, verify), callback or ignore_events
     table = read_points(problem, points)
     known = solve(problem, callback=callback) if guess is None else Indirect().run(problem, guess, say)
+    if named := {name: known.free[name] for name in table.names if name in known.free}:  # no longer free
+        problem = problem.with_given(**named)
+        known = Indirect().run(problem, known, say)
     return _Work(problem, table, known).done(say, verify, search=search, limit=limit)
 
 
@@ -212,7 +215,7 @@ class _Work:
     def batch(self, stopped: bool) -> Batch:
         """Return the arrays in SI."""
         count, problem, alone = len(self.values), self.problem, list(self.alone)
-        free = {name: np.full(count, np.nan) for name in problem.free_names if name not in self.names}
+        free = {name: np.full(count, np.nan) for name in problem.free_names}
         objective, error_bound = np.full(count, np.nan), np.full(count, np.nan)
         slopes, results = np.full(self.values.shape, np.nan), dict[str, Vector]()
         for part in self.parts:
