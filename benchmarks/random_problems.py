@@ -216,7 +216,7 @@ def ending(problem: Problem) -> dict[str, Any]:
     try:
         return told_of(solve(problem))
     except NotConvergedError as error:
-        flown = error.flight is not None and not error.partial.get("missed")
+        flown = error.flight is not None and not error.partial.get("violations")
         return {"class": "failed", "why": f"{error.what}: {error.got}", "feasible": flown or None}
     except InfeasibleError as error:
         return {"class": "refused", "why": f"{error.what}: {error.got}", "feasible": None}
@@ -243,7 +243,7 @@ def told_of(solution: Solution) -> dict[str, Any]:
     proof = solution.verification
     row = {
         "objective": solution.objective,
-        "rung": solution.statistics.rung,
+        "rung": solution.statistics.initialization,
         "active": sorted(nearly_active_conditions(solution)),
     }
     row |= {"feasible": True, "class": PROVED, "why": ""}

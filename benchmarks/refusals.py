@@ -187,7 +187,7 @@ def judge(kind: str, seed: int, number: int, doubt: bool) -> dict[str, Any]:
     try:
         problem = draw(kind, seed, number)
         solution = solve(problem, verify=0)
-        row |= {"outcome": "answered", "why": f"{solution.objective:.9g} by {solution.statistics.rung}"}
+        row |= {"outcome": "answered", "why": f"{solution.objective:.9g} by {solution.statistics.initialization}"}
     except InfeasibleError as error:
         row |= {"outcome": error.reason, "why": f"{error.what}: {error.got}"}
     except NotConvergedError as error:

@@ -249,7 +249,7 @@ def falls(solution: Solution) -> str:
 
 def contacts(solution: Solution) -> str:
     """What is touched and flown along, one after the other, without the times."""
-    return ", ".join(arc.words for arc in solution.structure)
+    return ", ".join(arc.description for arc in solution.structure)
 
 
 def _bisected(

@@ -104,7 +104,7 @@ def setup(task: Task) -> Any:
                 mass=float(flown.state(flown.duration)[-1]),
                 time=flown.duration,
                 control=pieces(time.tolist(), [t.tolist() for t in nodes], [u.tolist() for u in values]),
-                grid=solution.statistics.rung + mesh,
+                grid=solution.statistics.initialization + mesh,
             )
 
         return read

@@ -180,7 +180,7 @@ def _out_of_time(problem: Problem, work: Progress, limit: float, end: TimeLimitR
         expected="an answer and its proof",
         advice='more time (--time-limit "20 min", or time_limit=1200.0), a guess, or a lower --level; with --out DIR '
         "the best flight is kept",
-        partial={"tried": list(end.tried)},
+        partial={"attempts": list(end.tried)},
         flight=None if found is None else found[0],
     )
 

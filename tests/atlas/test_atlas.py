@@ -686,7 +686,7 @@ def test_a_sheet_without_a_corner_of_a_cell_is_not_passed_over(atlas: Atlas) -> 
     """Where the better sheet was not found the worse one is no answer."""
     at = {"vehicle_thrust": 441.0, "retro_specific_impulse": 292.0}
     best, point = atlas.query(**at), np.array([441.0, 292.0])
-    assert len(best.query.met) > 1 and best.free["retro_delta_v"] > 0.0
+    assert len(best.query.candidates) > 1 and best.free["retro_delta_v"] > 0.0
     place = atlas.region.brick_of(point)
     whole, sheets = atlas.brick(0, place), atlas.charted[0].sheets
     assert whole is not None
@@ -819,9 +819,9 @@ def test_answers_that_touch_a_condition_are_mapped_beside_those_that_do_not(tmp_
     assert found.good.all()
     np.testing.assert_allclose(found.objective, truth, rtol=1e-11)
     touching, free = atlas.query(ceiling=0.2), atlas.query(ceiling=0.29)
-    assert [arc.words for arc in touching.structure] == ["contact point of room"] and not free.structure
+    assert [arc.description for arc in touching.structure] == ["contact point of room"] and not free.structure
     assert "touches room" in touching.query.sheet and "touches" not in free.query.sheet
-    assert len(touching.query.met) == 2  # the one that breaks the ceiling would cost less
+    assert len(touching.query.candidates) == 2  # the one that breaks the ceiling would cost less
     slope = (bryson_denham_truth(0.2001) - bryson_denham_truth(0.1999)) / 2e-4
     assert touching.query.slopes["ceiling"] == pytest.approx(slope, rel=1e-6)
     assert pl.verify(touching).outcome is Outcome.PROVED

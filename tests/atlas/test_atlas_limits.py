@@ -168,7 +168,7 @@ def test_ranges_of_the_users_in_a_problem_of_a_model_are_refused_where_they_move
     )
     model = hybrid_landing(vehicle, Retro(specific_impulse=310.0), orbit, body=MOON)
     ranges = model.parameter_bounds
-    assert ranges is not None and model.declared
+    assert ranges is not None and model.records
 
     def slower(p: Any, xp: Any) -> Any:
         found = dict(ranges(p, xp))

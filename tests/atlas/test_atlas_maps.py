@@ -42,7 +42,7 @@ def weak(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
 
 def test_a_slice_shows_what_queries_say(jump: Atlas) -> None:
     shown = sliced(jump, points=9)
-    assert shown.shape == (9, 9) and shown.answers.good.all() and (shown.why == -1).all()
+    assert shown.shape == (9, 9) and shown.answers.good.all() and (shown.reason_index == -1).all()
     assert sum(shown.counts.values()) == 81 and len(shown.counts) == 2
     objective = shown.answers.objective.reshape(shown.shape)
     for i, k in ((0, 0), (3, 7), (8, 2)):
@@ -80,7 +80,7 @@ def test_where_physics_refuses_its_reason_is_shown(weak: Atlas) -> None:
     shown = sliced(weak, points=98)
     assert not shown.answers.good.all()
     for number in np.nonzero(~shown.answers.good)[0][::9].tolist():
-        reason = shown.reasons[shown.why[number]]
+        reason = shown.reasons[shown.reason_index[number]]
         thrust = float(shown.values[0][number])
         try:
             refused = ""
@@ -91,7 +91,7 @@ def test_where_physics_refuses_its_reason_is_shown(weak: Atlas) -> None:
             pass
         assert (reason == refused) == bool(refused)
     assert any("too weak" in reason for reason in shown.reasons)
-    counted = {text: np.count_nonzero(shown.why == k) for k, text in enumerate(shown.reasons)}
+    counted = {text: np.count_nonzero(shown.reason_index == k) for k, text in enumerate(shown.reasons)}
     assert len(counted) > 2 and {text: shown.counts.get(text, 0) for text in counted} == counted
 
 

@@ -66,19 +66,19 @@ def test_a_merge_keeps_the_proofs_of_nodes_whose_bricks_it_takes(built: Path, tm
     other = build(cho_landing(), {"vehicle.thrust": (450.0, 455.0)}, tmp_path / "other", sample=1)
     line = proofs(beside)[0]
     at_side = {**line["drawn"][0], "values": [450.0]}
-    text = (beside / MANIFEST).read_text().replace(json.dumps(line), written_line({**line, "thin": [at_side]}))
+    text = (beside / MANIFEST).read_text().replace(json.dumps(line), written_line({**line, "thin_margin": [at_side]}))
     (beside / MANIFEST).write_text(text)
     atlas = open_atlas(merge(beside, other, tmp_path / "merged"))
     own, others = sample_of(open_atlas(built)).drawn, sample_of(open_atlas(other)).drawn
     sample, before = sample_of(atlas), [*own, *others]
     assert not sample.drawn and not sample.thin and sample.share == 0.0
     kept = [one.values for one in own if one.values != (450.0,)] + [one.values for one in others]
-    assert sorted(one.values for one in sample.kept) == sorted(kept) and len(kept) >= 3
+    assert sorted(one.values for one in sample.merged) == sorted(kept) and len(kept) >= 3
     told = f"{len(kept)} of {len(kept)} drawn from the merged atlases proved to level 3"
     assert told in sample.describe(atlas)
     lost = 1 + len(before) - len(kept)
     assert any(note.startswith(f"{lost} proofs of the merged atlases are dropped") for note in atlas.survey["notes"])
-    for one in sample.kept:
+    for one in sample.merged:
         assert verify(atlas.query(vehicle_thrust=one.values[0]), 3).verification.level == one.level == 3
     extend(atlas.store.directory, {}, sample=2)
     assert len(sample_of(open_atlas(atlas.store.directory)).drawn) == 2
@@ -103,14 +103,14 @@ def test_more_proofs_are_added_and_none_is_made_twice(copy: Path) -> None:
     build(cho_landing(), THRUST, copy)
     assert (copy / MANIFEST).read_bytes() == whole
     build(cho_landing(), THRUST, copy, sample=5)
-    assert [line["asked"] for line in proofs(copy)] == [3, 2]
+    assert [line["requested"] for line in proofs(copy)] == [3, 2]
     assert len(sample_of(open_atlas(copy)).drawn) == 5
 
 
 def test_of_a_wider_atlas_is_drawn_anew(copy: Path) -> None:
     extend(copy, {"vehicle.thrust": (430.0, 460.0)}, sample=4)
     sample = sample_of(open_atlas(copy))
-    assert len(sample.drawn) == 4 and [line["asked"] for line in proofs(copy)] == [3, 4]
+    assert len(sample.drawn) == 4 and [line["requested"] for line in proofs(copy)] == [3, 4]
 
 
 def test_draws_go_all_over_and_are_answers(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_draws_go_all_over_and_are_answers(tmp_path: Path) -> None:
     for key, line in atlas.said.items():
         nodes, sheets = np.load(atlas.store.directory / line["nodes"]["file"]), atlas.charted[key[0]].sheets
         found = are_possible_answers(nodes, sheets) & (nodes["margin"] < 1e-3)
-        assert line["thin"] == found.sum()
+        assert line["thin_margin"] == found.sum()
         count += int(found.sum())
     assert sample_of(atlas).thin_nodes == count and len(thin) == min(3, count)
     assert not list(drawn_at_random(atlas, 0, np.random.default_rng(1), {}))
@@ -205,7 +205,7 @@ def test_numbers_of_proofs_that_are_none_are_refused(sample: Any, copy: Path) ->
         lambda line: line["drawn"][0].update(values=[1.0, 2.0]),
         lambda line: line["drawn"][0].update(level=None),
         lambda line: line["drawn"][0].update(failed="all"),
-        lambda line: line.pop("thin"),
+        lambda line: line.pop("thin_margin"),
     ],
 )
 def test_proofs_of_another_hand_are_refused_in_words(change: Callable[[dict[str, Any]], object], copy: Path) -> None:
@@ -219,12 +219,12 @@ def test_proofs_of_another_hand_are_refused_in_words(change: Callable[[dict[str,
 
 def test_an_answer_says_what_those_reached_that_were_drawn(built: Path, copy: Path) -> None:
     """Of an atlas of which none was drawn nothing; where one of them failed, no more than it reached."""
-    assert open_atlas(built).query(vehicle_thrust=440.0).query.inherited == 3
+    assert open_atlas(built).query(vehicle_thrust=440.0).query.sample_level == 3
     lines = AtlasStore(copy).lines()
     others = [line for line in lines if line["kind"] != "sample"]
     AtlasStore(copy).write_lines(others)
-    assert open_atlas(copy).query(vehicle_thrust=440.0).query.inherited == 0
+    assert open_atlas(copy).query(vehicle_thrust=440.0).query.sample_level == 0
     (sample,) = [line for line in lines if line["kind"] == "sample"]
     sample["drawn"][0]["level"] = 1
     AtlasStore(copy).write_lines([*others, sample])
-    assert open_atlas(copy).query(vehicle_thrust=440.0).query.inherited == 1
+    assert open_atlas(copy).query(vehicle_thrust=440.0).query.sample_level == 1

@@ -264,7 +264,7 @@ def test_along_the_speed_limit_the_cart_would_better_chatter(method: Any) -> Non
     assert solution.objective == pytest.approx(times["along"], abs=2e-9)
     failed = [c.meaning for c in solution.verification.checks if not c.passed]
     assert any("no optimal flight follows it (chattering)" in meaning for meaning in failed)
-    assert any("no optimal flight follows it (chattering)" in line for line in solution.statistics.tried)
+    assert any("no optimal flight follows it (chattering)" in line for line in solution.statistics.attempts)
     assert any(line.startswith("flights that chatter are better than this one") for line in solution.warnings)
 
 

@@ -110,7 +110,7 @@ def test_a_limit_that_the_direct_solution_meets_is_kept_where_no_extremal_tells_
     problem = _steered(path=lambda x, u, p, xp: (p.steepest - u.up,), names=("below_steepest",))
     solution = solve(problem, verify=0)
     assert solution.objective == pytest.approx(_clipped()[0], abs=1e-11)
-    assert any(line.startswith("random costates keeping steepest") for line in solution.statistics.tried)
+    assert any(line.startswith("random costates keeping steepest") for line in solution.statistics.attempts)
 
 
 def test_a_limit_that_does_not_bind_changes_nothing() -> None:

@@ -221,7 +221,10 @@ def test_an_entry_under_limits_of_load_and_of_heating() -> None:
     """From its bound the lift goes along the load, in which it is, and later along the heating, by a square of it."""
     problem = limited_entry(load=55.0, rate=93.2e3)
     solution = _proved(problem)
-    assert [arc.words for arc in solution.structure if arc.words.startswith("along")] == ["along load", "along rate"]
+    assert [arc.description for arc in solution.structure if arc.description.startswith("along")] == [
+        "along load",
+        "along rate",
+    ]
     rough = pl.Pseudospectral(nodes=6, segments=16, refine=0).near(solution)
     assert solution.objective == pytest.approx(rough.objective, rel=1e-5)
 

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import importlib
+import json
 import pickle
+import pydoc
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import pytest
 
 import perilune as pl
-from perilune.core.deprecation import renamed_keywords
+from perilune.core.deprecation import RenamedAttribute, renamed_keywords
 from perilune.core.errors import PeriluneError
 from perilune.problem import Solution
 
 Old: Any = pl  # which names what it no longer lists
 GOES = "goes with the next minor version"
+ARC = pl.NamedArc(phase="descent", begin=0.0, end=1.0, description="along the floor")
 
 
 def warned(ask: Callable[[], Any], *words: str) -> Any:
@@ -121,7 +124,11 @@ def test_fields_are_stated_and_read_by_their_old_names(landing: pl.Problem, hybr
         (landing, "ranges", "parameter_bounds"), (landing, "bookkeeping", "consistency_checks"),
         (landing, "rough_flight", "initial_guess"), (landing.phases[0], "typical_end", "end_guess"),
         (landing.phases[0], "marks", "end_outputs"), (hybrid, "listed", "unverified_extremals"),
-        (hybrid.statistics, "claimed", "from_file"),
+        (hybrid.statistics, "claimed", "from_file"), (hybrid.statistics, "rung", "initialization"),
+        (hybrid.statistics, "tried", "attempts"), (landing, "declared", "records"),
+        (landing.views, "beside", "comparison"), (pl.verify(hybrid, 1).verification, "text", "source"),
+        (ARC, "words", "description"), (pl.models.MARS, "air", "surface_pressure"),
+        (pl.models.EARTH, "air", "surface_pressure"),
     )  # fmt: skip
     for owner, old, new in pairs:
         kind = type(owner).__name__
@@ -130,6 +137,56 @@ def test_fields_are_stated_and_read_by_their_old_names(landing: pl.Problem, hybr
         change: Any = {old: getattr(owner, new)}
         copy: Callable[[], Any] = lambda owner=owner, change=change: replace(owner, **change)  # noqa: E731
         assert warned(copy, f"{old}= of {kind} is {new}= now") == owner
+
+
+def test_what_is_only_read_is_found_by_its_old_name(landing: pl.Problem, hybrid: Solution) -> None:
+    proof = pl.verify(hybrid, 1).verification
+    finding = pl.preflight(landing)[0]
+    for owner, old, new in (
+        (proof, "told", "summary"), (proof, "within", "tolerance_used"), (finding, "told", "formatted"),
+        (landing, "text", "source"), (pl.models.MARS, "spoken", "display_name"), (pl.models.MARS, "titled", "heading"),
+    ):  # fmt: skip
+        kind = type(owner).__name__
+        read: Callable[[], Any] = lambda owner=owner, old=old: getattr(owner, old)  # noqa: E731
+        assert warned(read, f"{kind}.{old} is {kind}.{new} now") == getattr(owner, new)
+    tolerance: Any = pl.Tolerance(position=1e-3)
+    assert warned(lambda: tolerance.told(), "Tolerance.told is Tolerance.describe now") == "position 1 mm"
+    check: Any = proof.checks[0]
+    assert warned(lambda: check.limit_told(2), "Check.limit_told is") == check.format_limit(2)
+    assert warned(lambda: Old.views.Beside, "ComparisonFlight") is pl.views.ComparisonFlight
+
+
+def test_old_names_stand_in_no_help(hybrid: Solution) -> None:
+    """They are found, and neither completed nor explained."""
+    for kind, old in ((pl.Problem, "rough_flight"), (pl.Phase, "typical_end"), (pl.Check, "limit_told")):
+        assert old not in dir(kind) and old not in pydoc.plain(pydoc.render_doc(kind))
+    assert "ranges" not in dir(hybrid.problem) and not hasattr(pl.Check, "limit_told")
+    with pytest.raises(AttributeError, match="'Statistics' object has no attribute 'runk'") as caught:
+        _ = getattr(hybrid.statistics, "runk")  # noqa: B009
+    assert (caught.value.name, caught.value.obj) == ("runk", hybrid.statistics)
+
+
+def test_an_attribute_that_fails_is_not_taken_for_an_old_name() -> None:
+    class Rod:
+        size: ClassVar[RenamedAttribute] = RenamedAttribute("length")
+
+        @property
+        def length(self) -> float:
+            return self.ends[1]  # type: ignore[attr-defined]
+
+    for name in ("length", "size"):
+        with pytest.raises(AttributeError, match="has no attribute 'ends'"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            getattr(Rod(), name)
+
+
+def test_what_a_failure_keeps_is_found_by_its_old_name() -> None:
+    partial = pl.NotConvergedError("no flight", partial={"attempts": ["one"], "free": {}}).partial
+    assert warned(lambda: partial["tried"], "partial['tried'] is partial['attempts'] now") == ["one"]
+    assert warned(lambda: partial.get("tried"), "partial['attempts']") == ["one"]
+    assert partial.get("missed") is None and json.dumps(partial) == '{"attempts": ["one"], "free": {}}'
+    with pytest.raises(KeyError, match="missed"):
+        _ = partial["missed"]
 
 
 def test_both_names_are_refused_with_every_field_too() -> None:

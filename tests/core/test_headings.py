@@ -58,7 +58,7 @@ def test_a_file_calls_no_body_by_the_name_of_another(
     pl.save(pl.solve(problem), tmp_path / "saved")
     path = tmp_path / "saved" / "solution.json"
     document = json.loads(path.read_text())
-    document["made"]["sections"]["body"]["name"] = "moon"
+    document["model"]["sections"]["body"]["name"] = "moon"
     path.write_text(json.dumps(document))
     assert run_command_line(["verify", str(tmp_path / "saved")]) == 0
     first = capsys.readouterr().out.splitlines()[0]

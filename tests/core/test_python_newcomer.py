@@ -230,7 +230,7 @@ load_any: Any = load_file
             )
         ),
         (lambda: Loose.Curve(), ("Curve needs time, values, rates",)),
-        (lambda: Loose.NamedArc(), ("NamedArc needs phase, begin, end, words",)),
+        (lambda: Loose.NamedArc(), ("NamedArc needs phase, begin, end, description",)),
         (lambda: Loose.views.Space(body=3), ("not a valid body of Space", "3", "a text")),
         (lambda: Loose.views.Space(epoch=3), ("not a valid epoch of Space", "3", "a text")),
         (lambda: Loose.views.Space(chosen=3), ("not a valid chosen of Space", "3", "a text")),

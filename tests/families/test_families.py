@@ -78,8 +78,8 @@ def test_processes_answer_as_one_after_the_other(fixed: Problem, grid: Family) -
     last = family.points[-1].solution
     assert last is not None
     assert last.problem == fixed.with_given(vehicle_thrust=500.0, vehicle_mass=310.0)
-    assert last.problem.text == "the problem's own Python functions"
-    assert last.verification.text == "expressions from a copy"
+    assert last.problem.source == "the problem's own Python functions"
+    assert last.verification.source == "expressions from a copy"
     said = [str(line).rpartition(", ")[2] for line in lines if str(line).endswith(" done")]
     assert said == [f"{n} of 6 done" for n in range(1, 7)]
 
@@ -169,7 +169,7 @@ def test_a_store_gives_back_what_was_put_there(fixed: Problem, grid: Family, tmp
         assert (one.values, one.outcome, one.message) == (other.values, other.outcome, other.message)
     here, there = first.points[0].solution, again.points[0].solution
     assert here is not None and there is not None
-    assert there.verification.text == "the problem's own Python functions"
+    assert there.verification.source == "the problem's own Python functions"
     assert [vars(c) for c in there.verification.checks] == [vars(c) for c in here.verification.checks]
     assert there.trajectories[0].state == here.trajectories[0].state
     assert there.problem == here.problem

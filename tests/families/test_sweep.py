@@ -22,7 +22,7 @@ def test_landed_mass_against_delta_v(landing: Problem) -> None:
     assert len(mass) == 5
     assert mass[0] == pytest.approx(154.54135, abs=1e-5)
     assert mass[1] < mass[0] < mass[2] < mass[3] > mass[4]
-    assert [p.solution.statistics.rung for p in family.points[1:] if p.solution] == ["continuation"] * 4
+    assert [p.solution.statistics.initialization for p in family.points[1:] if p.solution] == ["continuation"] * 4
 
 
 def test_members_equal_separate_solves(landing: Problem) -> None:

@@ -77,12 +77,13 @@ def answer_of(solution: pl.Solution) -> Record:
         "last": [t.state.values[-1].tolist() for t in flights],
         "multipliers": {name: float(value) for name, value in solution.multipliers.items()},
         "extremals": [[float(one.objective), one.nature.value] for one in solution.extremals],
-        "structure": [[arc.phase, arc.words, float(arc.begin), float(arc.end)] for arc in solution.structure],
+        "structure": [[arc.phase, arc.description, float(arc.begin), float(arc.end)] for arc in solution.structure],
         "warnings": list(solution.warnings),
         "effort": {
-            "rung": statistics.rung, "tried": list(statistics.tried), "iterations": int(statistics.iterations),
-            "arcs": int(statistics.arcs), "residual": float(statistics.residual),
-            "nodes": [len(t.time) for t in flights], "sha256": digest.hexdigest(),
+            "initialization": statistics.initialization, "attempts": list(statistics.attempts),
+            "iterations": int(statistics.iterations), "arcs": int(statistics.arcs),
+            "residual": float(statistics.residual), "nodes": [len(t.time) for t in flights],
+            "sha256": digest.hexdigest(),
         },
     }  # fmt: skip
 
@@ -93,7 +94,7 @@ def proof_of(solution: pl.Solution) -> Record:
     return {
         "outcome": solution.outcome.name,
         "level": proof.level,
-        "text": proof.text,
+        "source": proof.source,
         "notes": list(proof.notes),
         "checks": [[check.name, check.level, check.unit, check.passed] for check in proof.checks],
         "effort": [[float(check.value), float(check.limit)] for check in proof.checks],

@@ -93,7 +93,7 @@ def test_what_is_true_is_confirmed(hybrid_dir: Path, capsys: pytest.CaptureFixtu
         (154.541347, 0, "local optimum, at a bound"),
         (154.501974, 129, "locally worst"),
     ]
-    assert document["claimed"] == ["method", "statistics"]
+    assert document["unverified_claims"] == ["method", "statistics"]
 
 
 def test_a_loaded_list_is_no_list_of_extremals(hybrid_dir: Path) -> None:
@@ -260,7 +260,7 @@ def test_what_newton_reaches_is_proved_before_it_is_listed(hybrid: Solution, whi
 def test_how_it_was_found_is_not_repeated(hybrid_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def change(document: dict[str, Any]) -> None:
         document["statistics"].update(
-            iterations=77777, rung="an oracle", wall_time=0.001, tried=["magic", "more magic"]
+            iterations=77777, initialization="an oracle", wall_time=0.001, attempts=["magic", "more magic"]
         )
         document["method"] = "clairvoyance"
         document["verification"] = {"level": 4, "text": "everything", "checks": []}
@@ -271,7 +271,7 @@ def test_how_it_was_found_is_not_repeated(hybrid_dir: Path, capsys: pytest.Captu
     for word in ("77777", "oracle", "magic", "clairvoyance", "everything", "land here", "level 4"):
         assert word not in said
     document = read_json(told(hybrid_dir, capsys, "--json")[1])
-    assert document["claimed"] == ["method", "statistics"]  # what is repeated is marked
+    assert document["unverified_claims"] == ["method", "statistics"]  # what is repeated is marked
     assert document["verification"]["level"] == 1
 
 
@@ -312,7 +312,9 @@ def test_titles_forge_no_lines(hybrid: Solution, title: str, tmp_path: Path) -> 
             pl.load(edited(tmp_path / "long", lambda d: d.update(made=None)))
 
 
-@pytest.mark.parametrize(("place", "name"), [((), "method"), (("problem",), "title"), (("statistics",), "rung")])
+@pytest.mark.parametrize(
+    ("place", "name"), [((), "method"), (("problem",), "title"), (("statistics",), "initialization")]
+)
 def test_control_characters_are_refused(
     hybrid_dir: Path, capsys: pytest.CaptureFixture[str], place: tuple[str, ...], name: str
 ) -> None:

@@ -66,7 +66,7 @@ def test_the_bound_of_a_control_gives_as_much_as_a_closed_form_says(scales: pl.S
     problem = moved(scales=scales)
     error = with_binding_limit(problem, failed(problem))
     assert error.what.startswith("no flight was found that keeps every limit: the best violates ")
-    relaxed = {one["limit"]: one["by"] for one in error.partial["relaxations"]}
+    relaxed = {one["limit"]: one["amount"] for one in error.partial["relaxations"]}
     assert relaxed["hardest"] == pytest.approx(7.0, rel=0.05)
     # To be there in the least time takes 2 s.
     assert relaxed["the upper bound of flight time"] == pytest.approx(0.5, rel=0.02)
@@ -84,9 +84,9 @@ def test_what_is_got_and_expected_is_what_the_first_line_names() -> None:
 
 def test_a_problem_that_flies_has_nothing_in_the_way() -> None:
     """An error without a flight, or whose flight misses nothing, is left as it is."""
-    problem, error = moved(duration=3.0), NotConvergedError("nothing", partial={"missed": []})
+    problem, error = moved(duration=3.0), NotConvergedError("nothing", partial={"violations": []})
     assert with_binding_limit(problem, error) is error
-    error = NotConvergedError("nothing", partial={"missed": ["place"]})
+    error = NotConvergedError("nothing", partial={"violations": ["place"]})
     assert with_binding_limit(problem, error) is error
 
 
@@ -112,7 +112,7 @@ def test_a_vehicle_is_blamed_for_its_dry_mass_and_not_the_slope() -> None:
     lighter = load_file(path, ["vehicle.mass=1901.19 kg", "vehicle.dry_mass=1400 kg"]).problem
     landed = pl.solve(lighter, verify=0).results["landed_mass"].value
     first = caught.value.partial["relaxations"][0]
-    assert first["limit"] == "vehicle.dry_mass" and first["by"] == pytest.approx(1505 - landed, rel=0.02)
+    assert first["limit"] == "vehicle.dry_mass" and first["amount"] == pytest.approx(1505 - landed, rel=0.02)
     assert "violates vehicle.dry_mass by about 0.45 kg" in caught.value.what
     assert caught.value.got.startswith("all other limits can be kept with vehicle.dry_mass 1504.5")
     *ways, easier = caught.value.advice.removeprefix("one of these: ").split("; ")
@@ -131,7 +131,7 @@ def test_a_thrust_is_blamed_and_what_is_said_to_suffice_flies() -> None:
     assert not is_possible(preflight(load_file(path, ["vehicle.thrust=4.5 kN"]).problem))
     with pytest.raises(NotConvergedError) as caught:
         pl.solve(load_file(path, [weak]).problem, verify=0)
-    found = {one["limit"]: one["by"] for one in caught.value.partial["relaxations"]}
+    found = {one["limit"]: one["amount"] for one in caught.value.partial["relaxations"]}
     assert found["throttle.upper"] == pytest.approx(0.027, abs=0.003)
     assert (
         pl.solve(load_file(path, [weak, "throttle.upper=0.935"]).problem, verify=0).results["landed_mass"].value > 1200

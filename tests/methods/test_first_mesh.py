@@ -38,7 +38,7 @@ def test_five_revolutions_by_default(transfer: pl.Solution) -> None:
         assert transfer.objective == pytest.approx(rival.objective, rel=1e-8)
     switches = np.diff(transfer.trajectories[0].time) == 0
     assert int(switches.sum()) == 12
-    assert sum("integrated under its controls" in line for line in transfer.statistics.tried) == 1
+    assert sum("integrated under its controls" in line for line in transfer.statistics.attempts) == 1
 
 
 def test_a_flight_that_winds_keeps_the_dynamics_and_gives_the_mesh() -> None:
@@ -69,7 +69,7 @@ def test_three_quarters_round_in_one_leg() -> None:
     """No straight line is a picture of 275 degrees; 4443.896 s is known from two legs that say where they end."""
     coarse = pl.Pseudospectral(segments=8, nodes=5, refine=0).run(deorbit(1))
     assert coarse.objective == pytest.approx(4443.89648, abs=1.0)
-    assert any("nearest miss, integrated under its controls: solved" in line for line in coarse.statistics.tried)
+    assert any("nearest miss, integrated under its controls: solved" in line for line in coarse.statistics.attempts)
 
 
 def test_phases_are_flown_one_after_the_other() -> None:
@@ -88,7 +88,7 @@ def test_what_cannot_be_flown_to_the_end_is_no_guess() -> None:
 
 
 def test_an_ordinary_problem_is_solved_from_the_straight_line_alone() -> None:
-    tried = pl.Pseudospectral().run(mars_glide_slope()).statistics.tried
+    tried = pl.Pseudospectral().run(mars_glide_slope()).statistics.attempts
     assert tried[0].startswith("straight line, durations x 1: solved")
     assert not any("flown" in line for line in tried)
 
@@ -118,8 +118,8 @@ def test_starts_that_lead_nowhere_share_the_iterations_of_one() -> None:
     with pytest.raises(pl.PeriluneError) as caught:
         pl.Pseudospectral(iterations=5).run(meditch())
     partial = caught.value.partial  # type: ignore[attr-defined]
-    first, *last = [line for line in partial["tried"] if not line.startswith(("nearest miss", "from there"))]
+    first, *last = [line for line in partial["attempts"] if not line.startswith(("nearest miss", "from there"))]
     assert first.endswith("not solved in 5 iterations")
     assert len(last) == 4 and all(line.endswith("not solved in 1 iterations") for line in last)
     assert first.partition(":")[0] not in {line.partition(":")[0] for line in last}
-    assert not partial["settled"]
+    assert not partial["converged"]

@@ -217,7 +217,7 @@ def test_hybrid_on_a_closed_form(second: Indirect | Pseudospectral, split: bool)
     """Linear tangent steering, in one phase and in two."""
     solution = Hybrid(Genetic(seed=2, population=64, generations=30, best=1), second).run(tangent_steering(split))
     assert solution.objective == pytest.approx(0.554570878334603, rel=1e-8)
-    assert solution.statistics.rung.startswith("genetic search, then ")
+    assert solution.statistics.initialization.startswith("genetic search, then ")
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -238,7 +238,7 @@ def test_every_start_is_told_and_different_answers_are_listed() -> None:
     settings = Genetic(seed=0, population=64, generations=10, best=2)
     solution = Hybrid(settings, Indirect()).run(tangent_steering(), callback=lines.append)
     assert sum(str(line).startswith("generation") for line in lines) == 11
-    assert sum(line.startswith("individual") for line in solution.statistics.tried) == 2
+    assert sum(line.startswith("individual") for line in solution.statistics.attempts) == 2
     assert len(solution.extremals) == 1  # both starts reach the same extremal
 
 
@@ -246,8 +246,8 @@ def test_a_hybrid_that_fails_says_what_was_tried() -> None:
     """A condition that nothing can meet: the second method's own words, and the search before it."""
     with pytest.raises(NotConvergedError) as caught:
         Hybrid(Genetic(population=32, generations=3, best=2), Indirect()).run(impossible_steering())
-    assert caught.value.partial["tried"][0].startswith("generation 3")
-    assert caught.value.partial["tried"][1].startswith("individual 1")
+    assert caught.value.partial["attempts"][0].startswith("generation 3")
+    assert caught.value.partial["attempts"][1].startswith("individual 1")
 
 
 def test_an_interrupted_hybrid_stops() -> None:

@@ -133,7 +133,7 @@ def test_failure_names_the_residual() -> None:
     """A target that cannot be met: the message names the condition in its unit, and what was tried is kept."""
     with pytest.raises(NotConvergedError) as caught:
         solve(impossible_steering(), Indirect(starts=3), verify=0)
-    assert caught.value.partial["tried"]
+    assert caught.value.partial["attempts"]
     assert any("impossible" in name for name in caught.value.partial["residuals"])
 
 

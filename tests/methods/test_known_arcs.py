@@ -31,7 +31,7 @@ def test_arcs_that_are_known_are_left_where_they_are_none(touching: Solution, ce
     assert solution.objective == pytest.approx(bryson_denham_truth(ceiling) if ceiling < 1 / 4 else 2.0, rel=1e-10)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
     words = {1 / 9: ["along room"], 0.3: []}
-    assert [arc.words for arc in solution.structure] == words.get(ceiling, ["contact point of room"])
+    assert [arc.description for arc in solution.structure] == words.get(ceiling, ["contact point of room"])
 
 
 def test_known_arcs_are_neither_read_nor_restated(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,10 +48,10 @@ def test_known_arcs_are_neither_read_nor_restated(touching: Solution, monkeypatc
         assert isinstance(known, JoinedTrajectories) and not known.made
     monkeypatch.undo()
     assert solution.objective == pytest.approx(from_curves.objective, rel=1e-13)
-    assert solution.statistics.rung == from_curves.statistics.rung == "structure"
-    assert solution.statistics.tried == from_curves.statistics.tried
+    assert solution.statistics.initialization == from_curves.statistics.initialization == "structure"
+    assert solution.statistics.attempts == from_curves.statistics.attempts
     (arc,), (other,) = solution.structure, from_curves.structure
-    assert (arc.words, arc.begin) == (other.words, pytest.approx(other.begin, abs=1e-12))
+    assert (arc.description, arc.begin) == (other.words, pytest.approx(other.begin, abs=1e-12))
     times = from_curves.trajectories[0].time
     reached = [s.trajectories[0].state(times) for s in (solution, from_curves)]
     assert reached[0] == pytest.approx(reached[1], abs=1e-11)

@@ -32,7 +32,7 @@ def test_a_family_of_touches_in_lanes(touching: Solution) -> None:
         found = nearby.at(roots[lane], {"ceiling": float(ceilings[lane])})
         alone = pl.solve(found.problem, guess=touching, verify=0)
         assert found.objective == alone.objective and found.structure == alone.structure
-        assert found.statistics.rung == alone.statistics.rung
+        assert found.statistics.initialization == alone.statistics.initialization
         assert pl.verify(found).outcome is pl.Outcome.PROVED
 
 

@@ -33,8 +33,8 @@ def test_problems_of_the_library_are_proved(name: str) -> None:
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
     allowed = max(1e-8 * abs(answered.objective), answered.uncertainty)
     assert solution.objective == pytest.approx(answered.objective, abs=allowed)
-    assert solution.statistics.rung == "gauss collocation, 20 nodes, then Newton"
-    assert solution.statistics.tried[-1].startswith("polish: by Newton, J = ")
+    assert solution.statistics.initialization == "gauss collocation, 20 nodes, then Newton"
+    assert solution.statistics.attempts[-1].startswith("polish: by Newton, J = ")
     assert solution.extremals[0].nature is Nature.BEST
     assert not pl.verify(pl.solve(problem, MESH_ALONE, verify=0)).verification.passed
 
@@ -47,7 +47,7 @@ def test_one_mesh_is_enough() -> None:
     assert any(line.startswith("polish: by Newton") for line in lines)
     assert solution.method == "indirect" and solution.unknowns is not None
     alone = pl.solve(meditch(), MESH_ALONE, verify=0)
-    assert alone.method == "pseudospectral" and len(alone.statistics.tried) > 2
+    assert alone.method == "pseudospectral" and len(alone.statistics.attempts) > 2
 
 
 def test_a_touch_is_kept() -> None:
@@ -55,10 +55,12 @@ def test_a_touch_is_kept() -> None:
     solution = pl.solve(problem, DIRECT)
     assert solution.verification.level == 3 and solution.verification.passed
     assert solution.objective == pytest.approx(bryson_denham_truth(1 / 5), abs=1e-12)
-    assert solution.statistics.rung == "gauss collocation, 20 nodes, then structure"
+    assert solution.statistics.initialization == "gauss collocation, 20 nodes, then structure"
     assert [arc.text for arc in solution.structure] == ["contact point of room at 0.5 s"]
     again = pl.solve(problem, guess=solution)
-    assert [arc.words for arc in again.structure] == ["contact point of room"] and again.outcome is pl.Outcome.PROVED
+    assert [arc.description for arc in again.structure] == [
+        "contact point of room"
+    ] and again.outcome is pl.Outcome.PROVED
 
 
 def test_a_glide_slope_that_no_mesh_of_25_reached() -> None:
@@ -82,7 +84,7 @@ def test_a_steering_limit_by_the_command_line(tmp_path: Path, capsys: pytest.Cap
     told = ["solve", POLAR, "--method", "direct", "--set", "steering.elevation_upper=25deg", "--json"]
     assert run_command_line(told) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["verification"]["level"] == 3 and "then Newton" in document["statistics"]["rung"]
+    assert document["verification"]["level"] == 3 and "then Newton" in document["statistics"]["initialization"]
     assert run_command_line([*told, "--no-polish", "--out", str(tmp_path / "out")]) == 4
     capsys.readouterr()
     failure = json.loads((tmp_path / "out" / "failure.json").read_text())
@@ -104,8 +106,8 @@ def test_what_cannot_be_made_exact_stays_and_says_so() -> None:
     solution = solve_and_polish(DIRECT, goddard())
     assert solution.objective == pytest.approx(direct.objective, rel=1e-7)
     if solution.method == "pseudospectral":
-        assert solution.statistics.tried[-1] == "polish: the direct answer is kept unchanged"
-        assert any(line.startswith("polish: no extremal") for line in solution.statistics.tried)
+        assert solution.statistics.attempts[-1] == "polish: the direct answer is kept unchanged"
+        assert any(line.startswith("polish: no extremal") for line in solution.statistics.attempts)
 
 
 def test_the_best_of_a_family_is_found() -> None:
@@ -135,7 +137,7 @@ class Worse(pl.Pseudospectral):
 def test_another_extremal_that_is_worse_is_not_taken() -> None:
     solution = solve_and_polish(Worse(), meditch())
     assert solution.method == "pseudospectral"
-    assert sum("another extremal, which is worse" in line for line in solution.statistics.tried) >= 1
+    assert sum("another extremal, which is worse" in line for line in solution.statistics.attempts) >= 1
 
 
 def test_a_guess_stays_a_guess() -> None:
@@ -155,7 +157,7 @@ def test_the_best_flight_of_a_mesh_that_stalls_is_kept() -> None:
     error, problem = stalled()
     flight = error.flight
     errors = [
-        float(line.split("relative error ")[1].split(" ")[0]) for line in error.partial["tried"] if "nodes" in line
+        float(line.split("relative error ")[1].split(" ")[0]) for line in error.partial["attempts"] if "nodes" in line
     ]
     assert flight.statistics.residual == pytest.approx(min(errors), rel=0.1)
     assert f"relative error {flight.statistics.residual:.2g}" in error.got

@@ -88,7 +88,7 @@ def test_a_condition_of_the_path_is_named_with_the_key_that_states_it() -> None:
 
 def test_the_best_of_those_that_miss_is_named() -> None:
     """Compared in canonical units: 3 m of 1000 km are less than half a radian."""
-    partial = {"missed": ["the rest is missed by 2 m/s"], "all_missed": True}
+    partial = {"violations": ["the rest is missed by 2 m/s"], "all_infeasible": True}
     error = explain_refusal(known(NotConvergedError(NEAREST, partial=partial)), [WIDE, LOW])
     assert isinstance(error, InfeasibleError) and error.exit_code == 3
     assert (
@@ -97,7 +97,9 @@ def test_the_best_of_those_that_miss_is_named() -> None:
     )
     assert error.reason == "the best found violates it" and error.reason in str(error)
     assert error.partial == {**partial, "tried": ["costates on the unit sphere: 2 extremals"]}
-    undecided = explain_refusal(known(NotConvergedError("not yet optimal", partial={"all_missed": False})), [WIDE, LOW])
+    undecided = explain_refusal(
+        known(NotConvergedError("not yet optimal", partial={"all_infeasible": False})), [WIDE, LOW]
+    )
     assert isinstance(undecided, NotConvergedError) and "remains open" in undecided.what
     assert "the nearest height by 3 m" in undecided.what
     assert InfeasibleError("too heavy").reason == "cannot be flown"
@@ -106,7 +108,7 @@ def test_the_best_of_those_that_miss_is_named() -> None:
 def test_the_limit_that_the_nearest_extremal_breaks_is_named_and_no_equation_of_motion() -> None:
     """Whose error, in a least miss that is no flight, tells nothing to who stated a limit of the load."""
     coarse = Coarse(Indirect(), load_file(EXAMPLES / "capsule_return.toml").problem, [])
-    partial = {"missed": ["the dynamics of vz in entry is missed by 362.7 m/s"], "all_missed": False}
+    partial = {"violations": ["the dynamics of vz in entry is missed by 362.7 m/s"], "all_infeasible": False}
     coarse.refusal = NotConvergedError("no trajectory was found", partial=partial)
     broken = ConstraintViolation(
         name="load_left", text="load left falls to -23 m/s^2 on the way", miss=23.0, unit="m/s^2", canonical=3.0,
@@ -114,7 +116,7 @@ def test_the_limit_that_the_nearest_extremal_breaks_is_named_and_no_equation_of_
     )  # fmt: skip
     worse = replace(broken, text="load left falls to -40 m/s^2 on the way", miss=40.0, canonical=5.0)
     error = explain_refusal(coarse, [worse, broken])
-    assert isinstance(error, NotConvergedError) and error.partial["missed"] == partial["missed"]
+    assert isinstance(error, NotConvergedError) and error.partial["violations"] == partial["violations"]
     assert (
         "the nearest load left (limits.load) by 23 m/s^2, and" in error.what
         and error.got.startswith(broken.text)
@@ -161,7 +163,7 @@ def test_where_the_mesh_is_fine_enough_the_bound_is_ridden() -> None:
     solution = solve(hurried(most), verify=2)
     t = 1.5 * (1 - 1 / most)
     assert solution.objective == pytest.approx(4 * most**2 / (3 * t), abs=1e-10)
-    assert [(arc.words, arc.begin, arc.end) for arc in solution.structure] == [
+    assert [(arc.description, arc.begin, arc.end) for arc in solution.structure] == [
         ("along the upper bound of v", pytest.approx(t, abs=1e-9), pytest.approx(1 - t, abs=1e-9))
     ]
     assert solution.outcome is Outcome.PROVED, str(solution.verification)
@@ -172,7 +174,7 @@ def test_extremals_that_break_the_path_refuse_nothing() -> None:
     breaks = [replace(WIDE, path=True), replace(LOW, path=True)]
     direct = InfeasibleError("the start is outside its bounds")
     assert explain_refusal(known(direct), breaks) is direct
-    nearest = NotConvergedError(NEAREST, partial={"all_missed": True, "least_miss": 0.1})
+    nearest = NotConvergedError(NEAREST, partial={"all_infeasible": True, "least_miss": 0.1})
     assert explain_refusal(known(nearest), []) is nearest  # where there is no extremal it says the most
     for tried in (nearest, NotConvergedError("the optimum was not reached")):
         error = explain_refusal(known(tried), breaks)
@@ -194,7 +196,7 @@ def test_where_a_flight_keeps_everything_it_is_kept(monkeypatch: pytest.MonkeyPa
     state, control = flight.evaluate(0, t)
     margins = tight.phases[0].evaluate("path", list(state), list(control), flight.parameters)
     assert min(margins[0]) > -5.0 and min(margins[1]) > -0.05  # m, and of a cosine: the error of a coarse mesh
-    assert any("direct transcription" in line for line in e.value.partial["tried"])
+    assert any("direct transcription" in line for line in e.value.partial["attempts"])
 
 
 def test_no_number_of_searches_says_that_nothing_flies() -> None:

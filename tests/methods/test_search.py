@@ -77,11 +77,11 @@ def test_more_time_is_no_loss_on_the_way_to_a_circle() -> None:
     assert quick.outcome is pl.Outcome.PROVED
     slow = pl.solve(to_circle(30.0, **orbits), verify=0)
     assert -slow.objective >= -quick.objective - 1e-9
-    assert slow.statistics.rung == "continuation in the duration"
-    assert any("fractions of the duration" in line for line in slow.statistics.tried)
+    assert slow.statistics.initialization == "continuation in the duration"
+    assert any("fractions of the duration" in line for line in slow.statistics.attempts)
     listed = [extremal.objective for extremal in slow.extremals]
     assert listed == sorted(listed) and len(listed) > 4
-    assert any(line.startswith("smoothed controls") for line in slow.statistics.tried)
+    assert any(line.startswith("smoothed controls") for line in slow.statistics.attempts)
 
 
 def test_smoothed_extremals_lead_to_a_better_one() -> None:
@@ -99,7 +99,7 @@ def test_from_circle_to_circle_it_may_wait_at_both_ends() -> None:
     solution = pl.solve(to_circle(10.0, **orbits), verify=2)
     assert -solution.objective == pytest.approx(mass(9.0, **orbits), abs=1e-9)
     assert len(solution.extremals) == 1
-    assert any("not isolated" in line for line in solution.statistics.tried)
+    assert any("not isolated" in line for line in solution.statistics.attempts)
     assert mass(20.0, **orbits) >= -solution.objective - 1e-9
 
 

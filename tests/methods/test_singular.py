@@ -60,7 +60,7 @@ def test_goddards_rocket_climbs_as_in_the_literature() -> None:
     assert -solution.objective / FOOT == pytest.approx(18550.87186382, abs=1e-6)
     assert solution.free["t_f"] == pytest.approx(42.8879117, abs=1e-6)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 2
-    assert [arc.words for arc in solution.structure] == [
+    assert [arc.description for arc in solution.structure] == [
         "thrust at its upper bound", "thrust singular", "thrust at its lower bound",
     ]  # fmt: skip
     assert [arc.begin for arc in solution.structure] == pytest.approx([0.0, 13.75127, 21.98736], abs=1e-5)
@@ -86,7 +86,7 @@ def test_arcs_that_are_none_are_dropped() -> None:
     """Aly's problem from a mesh that shows one arc too many: the extremal gives it no length."""
     coarse = pl.Pseudospectral(nodes=5, segments=8, refine=0).run(aly())
     solution = pl.solve(aly(), guess=coarse, verify=2)
-    *_, dropped, kept = solution.statistics.tried
+    *_, dropped, kept = solution.statistics.attempts
     assert dropped == (
         "structure u at its lower bound, u at its upper bound, u singular: an extremal of another structure"
     )
@@ -123,7 +123,7 @@ def test_a_direction_may_turn_beside_the_singular_thrust() -> None:
     solution = pl.solve(problem)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
     assert not any(c.name.endswith("_along") for c in solution.verification.checks)  # an empty tank holds nothing back
-    assert [arc.words.removeprefix("thrust ") for arc in solution.structure] == [
+    assert [arc.description.removeprefix("thrust ") for arc in solution.structure] == [
         "at its upper bound", "singular", "at its lower bound", "at its upper bound",
     ]  # fmt: skip
     direct = pl.Pseudospectral(nodes=6, segments=32, refine=0).run(problem, guess=solution)
@@ -134,7 +134,7 @@ def test_a_direction_may_turn_beside_the_singular_thrust() -> None:
 def test_switches_without_end_are_no_list_of_arcs() -> None:
     with pytest.raises(pl.NotConvergedError) as caught:
         pl.solve(fuller())
-    assert "the control first appears in derivative 4 of dH/du" in str(caught.value.partial["tried"])
+    assert "the control first appears in derivative 4 of dH/du" in str(caught.value.partial["attempts"])
 
 
 def law(rate: ca.SX, slope: ca.SX, z: ca.SX, u: ca.SX) -> float:
@@ -245,14 +245,14 @@ def test_a_speed_limit_is_ridden_in_the_place_of_the_singular_arc() -> None:
     solution = pl.solve(limited, verify=2)
     assert solution.outcome is pl.Outcome.PROVED
     assert climbed().objective < solution.objective < climbed().objective + 20.0
-    assert "along the upper bound of v" in [arc.words for arc in solution.structure]
+    assert "along the upper bound of v" in [arc.description for arc in solution.structure]
 
 
 def test_a_target_too_fast_to_follow_is_left_and_met_again() -> None:
     """Two singular arcs between bounds, of which a coarse mesh shows one: every arc by the signs of the one before."""
     solution = pl.solve(following())
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
-    words = [arc.words.removeprefix("u ") for arc in solution.structure]
+    words = [arc.description.removeprefix("u ") for arc in solution.structure]
     down, up, singular = "at its lower bound", "at its upper bound", "singular"
     assert words == [down, up, singular, down, singular, up]
     direct = pl.Pseudospectral(nodes=4, segments=60, refine=0).run(following(), guess=solution)

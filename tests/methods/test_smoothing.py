@@ -29,7 +29,7 @@ def test_more_than_thirty_switches_without_a_guess() -> None:
     """Sixteen revolutions. It takes its ten seconds: the ladder is climbed to its end, and what is found is proved."""
     solution = pl.solve(meeting(16, thrust=0.0095))
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
-    assert solution.statistics.rung == "smoothed controls"
+    assert solution.statistics.initialization == "smoothed controls"
     assert (np.diff(solution.trajectories[0].time) == 0).sum() == 33
     assert -solution.objective == pytest.approx(0.86674964015, abs=1e-10)
 
@@ -37,7 +37,7 @@ def test_more_than_thirty_switches_without_a_guess() -> None:
 def test_a_direct_answer_of_many_switches_is_made_exact() -> None:
     """Newton's method from it fails; by way of smooth controls 17 switches, and J as by the indirect method."""
     solution = pl.solve(meeting(8, thrust=0.02), pl.Pseudospectral(segments=8, nodes=8, refine=0), verify=0)
-    assert solution.statistics.rung.endswith("then smoothed controls")
+    assert solution.statistics.initialization.endswith("then smoothed controls")
     assert (np.diff(solution.trajectories[0].time) == 0).sum() == 17
     assert -solution.objective == pytest.approx(0.866970829931, abs=1e-10)
 

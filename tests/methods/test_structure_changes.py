@@ -95,7 +95,7 @@ def test_a_slope_that_is_broken_by_a_quarter_of_a_millimetre_is_touched() -> Non
     given = ("approach.east=-1416.2094665883978 m", "corridor.slope=0.5367892139328801 rad")
     solution = pl.solve(load_file(str(EXAMPLE), given).problem)
     assert -solution.objective == pytest.approx(1926.19507, abs=5e-6)
-    assert [arc.words for arc in solution.structure if "slope" in arc.words] == [
+    assert [arc.description for arc in solution.structure if "slope" in arc.description] == [
         "contact point of height above glide slope"
     ]
     # J changes by 2.7e-7 kg per metre of the touch: too little to tell its sign. The second variation needs no touch.
@@ -143,7 +143,7 @@ def test_a_ceiling_just_below_the_free_flight_is_touched(offset: float) -> None:
     truth = bryson_denham_truth(ceiling) if offset < 0 else 2.0
     assert solution.objective == pytest.approx(truth, abs=1e-12)
     assert solution.verification.level >= 2, str(solution.verification)
-    assert [arc.words for arc in solution.structure] == (["contact point of room"] if offset < 0 else [])
+    assert [arc.description for arc in solution.structure] == (["contact point of room"] if offset < 0 else [])
 
 
 @pytest.mark.parametrize("offset", [-1e-4, -1e-6, -1e-9, 0.0, 1e-9, 1e-6, 1e-4])
@@ -317,7 +317,7 @@ def test_a_pair_of_switches_that_begins_is_found_from_its_first_instant() -> Non
     for slope in slopes:
         solution = pl.solve(on_the_moon(slope), verify=2)
         assert solution.outcome is pl.Outcome.PROVED, str(solution.verification)
-        coasts = [arc for arc in solution.structure if "lower" in arc.words]
+        coasts = [arc for arc in solution.structure if "lower" in arc.description]
         between.append(sum(arc.end - arc.begin for arc in coasts))
         landed.append(-solution.objective)
     assert between[0] == 0.0 and 5e-5 < between[1] < 1e-4

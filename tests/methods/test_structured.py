@@ -80,7 +80,7 @@ def test_a_duration_on_a_bound_is_that_of_all_its_arcs(
     assert solution.objective == pytest.approx(timed_bryson_denham_truth(ceiling, at, price), rel=1e-11)
     assert solution.free["T"] == pytest.approx(at, rel=1e-14)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
-    assert [arc.words for arc in solution.structure] == [words]
+    assert [arc.description for arc in solution.structure] == [words]
 
 
 def test_a_boundary_arc_is_found_and_proved() -> None:
@@ -89,7 +89,7 @@ def test_a_boundary_arc_is_found_and_proved() -> None:
     assert solution.objective == pytest.approx(4.0, abs=1e-10)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
     (arc,) = solution.structure
-    assert arc.words == "along room"
+    assert arc.description == "along room"
     assert (arc.begin, arc.end) == (pytest.approx(1 / 3, abs=1e-9), pytest.approx(2 / 3, abs=1e-9))
 
 
@@ -110,7 +110,7 @@ def test_a_lander_may_ride_along_the_ground_to_its_end(tmp_path: Path) -> None:
     )  # fmt: skip
     solution = pl.solve(problem)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
-    assert [arc.words for arc in solution.structure] == ["along height above site"]
+    assert [arc.description for arc in solution.structure] == ["along height above site"]
     assert solution.structure[0].end == pytest.approx(solution.trajectories[0].duration)
     direct = Pseudospectral(segments=8, nodes=5, refine=0).run(problem)
     assert solution.objective == pytest.approx(direct.objective, rel=1e-6)
@@ -159,7 +159,7 @@ def test_arcs_that_break_a_bound_of_the_control_are_no_answer() -> None:
     with pytest.raises(pl.NotConvergedError, match="every extremal found violates a condition") as caught:
         pl.solve(problem)
     said = "structure free and touches height_above_site, free: an extremal, but azimuth above lower falls to -117.061"
-    assert any(line.startswith(said) for line in caught.value.partial["tried"])
+    assert any(line.startswith(said) for line in caught.value.partial["attempts"])
 
 
 def test_arcs_keep_a_bound_of_the_control_that_a_law_can_hold(tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_arcs_keep_a_bound_of_the_control_that_a_law_can_hold(tmp_path: Path) ->
     (tmp_path / "free.toml").write_text("\n".join(lines))
     bounds = ("vehicle.mass=12375 kg", "steering.elevation_lower=-46 deg")
     solution = pl.solve(load_file(str(tmp_path / "free.toml"), bounds).problem, verify=1)
-    words = [arc.words for arc in solution.structure]
+    words = [arc.description for arc in solution.structure]
     assert words == ["along elevation above lower", "contact point of height above site"]
     assert solution.outcome is pl.Outcome.PROVED
 
@@ -284,6 +284,6 @@ def test_what_is_broken_just_before_its_touch_is_ridden() -> None:
     solution = pl.solve(problem, verify=2)
     assert solution.outcome is pl.Outcome.PROVED
     (arc,) = solution.structure
-    assert arc.words == "along height above site" and arc.end - arc.begin == pytest.approx(18.0, abs=0.5)
+    assert arc.description == "along height above site" and arc.end - arc.begin == pytest.approx(18.0, abs=0.5)
     direct = Pseudospectral(nodes=5, segments=16, refine=0).run(problem, solution)
     assert direct.objective == pytest.approx(solution.objective, rel=1e-4)

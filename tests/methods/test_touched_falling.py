@@ -26,7 +26,7 @@ def test_a_throw_below_a_ceiling_touches_it_and_is_proved(below: pl.Solution) ->
     assert below.outcome is pl.Outcome.PROVED and below.verification.level == 3
     assert below.objective == pytest.approx(J, abs=1e-10)
     (arc,) = below.structure
-    assert arc.words == "contact point of room" and arc.begin == arc.end == pytest.approx(v, abs=1e-9)
+    assert arc.description == "contact point of room" and arc.begin == arc.end == pytest.approx(v, abs=1e-9)
     assert slope < 0  # to raise the ceiling pays
     curve = below.trajectories[1].costate
     assert curve is not None

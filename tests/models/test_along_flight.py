@@ -35,7 +35,7 @@ def air_of(problem: pl.Problem) -> Any:
 def test_the_air_is_that_along_the_rough_flight() -> None:
     """Not that above the site, by some per cent; nor that of another pass."""
     problem = load_text(PASS)
-    epoch = next(record for record in problem.declared if isinstance(record, Aim)).instant()
+    epoch = next(record for record in problem.records if isinstance(record, Aim)).instant()
     assert epoch is not None
     p = problem.parameters({})
     over = thermosphere(

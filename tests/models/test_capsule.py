@@ -182,7 +182,7 @@ def test_the_example_flies_along_its_limit_and_so_do_its_neighbours(monkeypatch:
     found = pl.solve(capsule(), verify=2)
     assert found.verification.passed and found.objective == pytest.approx(2095.1732, abs=1e-3)
     assert found.results["peak_load"].value == pytest.approx(4.5, rel=1e-9)
-    along, touched = (arc for arc in found.structure if "load left" in arc.words)
+    along, touched = (arc for arc in found.structure if "load left" in arc.description)
     assert along.begin == pytest.approx(225.0, abs=0.1) and along.end == pytest.approx(315.9, abs=0.1)
     assert touched.begin == pytest.approx(335.05, abs=0.1)
     monkeypatch.setattr(Coarse, "solve", lambda *_: pytest.fail("the direct method"))

@@ -77,7 +77,7 @@ def test_a_return_to_a_place_touches_the_air_on_its_way() -> None:
     solution = pl.solve(deorbit_entry(VEHICLE, ORBIT, BOUNDED, BODY, manoeuvre=PLACE, air=AIR, site=SITE))
     assert solution.verification.passed and solution.verification.level == 3
     assert solution.objective == pytest.approx(4443.8964813, rel=1e-9)
-    arc = next(arc for arc in solution.structure if arc.words == "contact point of height above interface")
+    arc = next(arc for arc in solution.structure if arc.description == "contact point of height above interface")
     assert arc.begin == pytest.approx(1652.255, abs=1e-2)
     burn = solution.trajectories[0]
     x = burn.state(np.linspace(0.0, burn.duration, 4001))
@@ -269,9 +269,9 @@ def test_a_site_out_of_plane_is_refused_with_the_next_pass() -> None:
     assert float(re.findall(r"stays (\d+) km", error.what)[0]) == pytest.approx(math.radians(away) * 6371.0, rel=2e-3)
     passes = opportunities(returning(vehicle=replace(VEHICLE, dry_mass=400.0), site=printed), 3.0)
     assert all(one.verdict != "reachable" for one in passes) and "no pass within 3 days is certainly" in error.advice
-    nearest = min(passes, key=lambda one: abs(one.away))
+    nearest = min(passes, key=lambda one: abs(one.out_of_plane_angle))
     off, hours = (float(number) for number in re.findall(r"([\d.]+) (?:deg off|h after)", error.advice))
-    assert off == pytest.approx(math.degrees(abs(nearest.away)), abs=0.05)
+    assert off == pytest.approx(math.degrees(abs(nearest.out_of_plane_angle)), abs=0.05)
     assert hours == pytest.approx(nearest.ignition / 3600.0, abs=0.05)
     polar = refused(vehicle=replace(VEHICLE, dry_mass=400.0), site=replace(SITE, latitude=math.radians(75.0)))
     assert "never comes over its latitude" in polar.advice
@@ -298,7 +298,7 @@ def test_a_drift_that_costs_time_is_left_out_from_the_beginning() -> None:
     solution = pl.solve(load_text(text), verify=2)
     assert solution.verification.passed and solution.objective == pytest.approx(1773.6364, abs=2e-3)
     assert solution.free["drift_time"] == pytest.approx(1e-3, rel=1e-6)
-    assert solution.statistics.rung == "random costates"
+    assert solution.statistics.initialization == "random costates"
 
 
 def test_the_kinds_own_template_is_solved_and_proved() -> None:

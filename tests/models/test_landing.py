@@ -77,7 +77,7 @@ def test_the_best_from_low_over_the_site_is_found(landing: Problem) -> None:
     p = low.parameters(found.free)
     least = perilune_speed(p, NUMERIC) - p.body_rotation_rate * p.body_radius
     assert landed < 300.0 * math.exp(-least / (310.0 * 9.81)) < landed + 0.12
-    assert found.statistics.tried[0] == "a family along retro.delta_v from 0 to 1702.81 m/s: 3 extremals"
+    assert found.statistics.attempts[0] == "a family along retro.delta_v from 0 to 1702.81 m/s: 3 extremals"
 
 
 @pytest.mark.parametrize("height", [0.3, 0.03, 0.01, 0.003])

@@ -126,15 +126,17 @@ def test_passes_of_a_polar_orbit_over_the_equator() -> None:
     assert len(found) == len(expected) > 12
     for one, (ignition, away, going) in zip(found, expected, strict=True):
         assert one.ignition == pytest.approx(ignition, abs=0.5) and one.going == going
-        assert one.away == pytest.approx(away, abs=1e-4)
+        assert one.out_of_plane_angle == pytest.approx(away, abs=1e-4)
         sine = math.sin(abs(away)) / abs(math.sin(sweeps))
         if sine > 1:
-            assert one.turn == math.inf == one.velocity_change
+            assert one.plane_change == math.inf == one.velocity_change
             continue
         turn, speed = math.asin(sine), math.sqrt(MU / 6.9e6)
         needs = np.hypot(speed - (speed - down.velocity_change) * math.cos(turn),
                          (speed - down.velocity_change) * math.sin(turn))  # fmt: skip
-        assert one.turn == pytest.approx(turn, abs=1e-3) and one.velocity_change == pytest.approx(needs, rel=2e-3)
+        assert one.plane_change == pytest.approx(turn, abs=1e-3) and one.velocity_change == pytest.approx(
+            needs, rel=2e-3
+        )
 
 
 def listed(problem: pl.Problem, days: float = 2.0) -> dict[str, list[Any]]:
@@ -163,7 +165,7 @@ def test_a_reachable_pass_is_flown() -> None:
 
 
 def test_a_pass_out_of_reach_is_refused() -> None:
-    far = [one for one in listed(returning())["out of reach"] if abs(one.away) > math.radians(20.0)]
+    far = [one for one in listed(returning())["out of reach"] if abs(one.out_of_plane_angle) > math.radians(20.0)]
     assert len(far) > 5
     for one in far[:5]:
         with pytest.raises(InfeasibleError, match="out of the plane"):
@@ -250,15 +252,15 @@ def test_every_pass_is_found_on_an_ellipse_too() -> None:
     assert len(circle) == len(ellipse)
     for one, other in zip(circle, ellipse, strict=True):
         assert other.ignition == pytest.approx(one.ignition, abs=5.0)
-        assert other.away == pytest.approx(one.away, abs=1e-3)
+        assert other.out_of_plane_angle == pytest.approx(one.out_of_plane_angle, abs=1e-3)
 
 
 def test_lift_reaches_to_the_side() -> None:
     """L/D 0.5 by Eggers, 3 degrees: passes that are nearer than that need no turn, and nothing is certain beyond."""
     found = opportunities(returning(vehicle=replace(VEHICLE, lift_to_drag=0.5)), 2.0)
     reach = math.pi**2 / 48 * 0.25
-    near = [one for one in found if abs(one.away) < reach]
-    assert near and all(one.turn == 0 and one.verdict == "reachable" for one in near)
+    near = [one for one in found if abs(one.out_of_plane_angle) < reach]
+    assert near and all(one.plane_change == 0 and one.verdict == "reachable" for one in near)
     assert all(one.verdict != "out of reach" for one in found)
 
 

@@ -186,7 +186,7 @@ def test_flat_ground_is_saved_as_it_was_made(touching: Solution, tmp_path: Path)
     pl.save(touching, tmp_path / "out")
     back = pl.load(tmp_path / "out")
     assert back.problem == touching.problem
-    assert isinstance(back.problem.declared[0], UniformGravity)
+    assert isinstance(back.problem.records[0], UniformGravity)
     assert preflight(back.problem) == preflight(touching.problem)
 
 
@@ -278,7 +278,7 @@ def test_the_touch_of_the_slope_and_a_final_descent() -> None:
     final = ["final.height=50 m", "final.touchdown_speed=1 m/s"]
     found = solve(load_file(MARS, [*final, "vehicle.dry_mass=1400 kg"]).problem)
     assert found.outcome is Outcome.PROVED and found.verification.level == 3
-    assert any("contact point of height above glide slope" in arc.words for arc in found.structure)
+    assert any("contact point of height above glide slope" in arc.description for arc in found.structure)
     assert 400.0 < found.results["propellant"].value < 420.0
     with pytest.raises(NotConvergedError):
         solve(load_file(MARS, final).problem)

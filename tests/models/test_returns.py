@@ -327,7 +327,7 @@ def test_the_least_time_from_low_thrust_is_found_without_a_guess(drifts: bool) -
         site=Landing(altitude=10e3),
     )
     solution = pl.solve(problem, verify=2)
-    assert solution.verification.passed and solution.statistics.rung == "random costates"
+    assert solution.verification.passed and solution.statistics.initialization == "random costates"
     assert solution.objective == pytest.approx(1697.381, abs=1e-3)
     assert solution.free.get("drift_time", 1e-3) == 1e-3
     if drifts:  # the direct method leaves it by some thousandths of a second

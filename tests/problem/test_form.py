@@ -138,8 +138,8 @@ def test_a_problem_of_lambdas_travels() -> None:
     there = pickle.loads(pickle.dumps(plain))
     assert there == plain
     assert there.form.digest == plain.form.digest
-    assert there.text == "expressions from a copy"
-    assert plain.text == "the problem's own Python functions"
+    assert there.source == "expressions from a copy"
+    assert plain.source == "the problem's own Python functions"
     assert there.with_given(push=3.0) == plain.with_given(push=3.0)
     assert copy.deepcopy(plain) is plain
 

@@ -27,7 +27,7 @@ def test_the_paper_s_landing_from_a_straight_line() -> None:
     made = pl.guess(HYBRID, TIMES, straight_down(), np.tile([-1.0, 0.0], (15, 1)), retro_delta_v=1100.0)
     assert made.free == {"retro_delta_v": 1100.0, "flight_time": 280.0}
     rough = pl.solve(HYBRID, pl.Pseudospectral(nodes=12), guess=made, verify=0)
-    assert rough.statistics.tried[0].startswith("start from a guess (by hand)")
+    assert rough.statistics.attempts[0].startswith("start from a guess (by hand)")
     assert -pl.solve(HYBRID, guess=rough, verify=0).objective == pytest.approx(160.618584, abs=1e-6)
 
 
@@ -39,7 +39,7 @@ def test_the_indirect_method_begins_with_what_the_direct_one_makes_of_it() -> No
     made = pl.guess(HYBRID, t, np.round(state.T, 2), np.round(control.T, 2), retro_delta_v=1200.0)
     again = pl.solve(HYBRID, guess=made, verify=0)
     assert again.objective == pytest.approx(answer.objective, abs=1e-9)
-    assert again.statistics.tried[0].startswith("direct transcription: start from a guess")
+    assert again.statistics.attempts[0].startswith("direct transcription: start from a guess")
 
 
 def test_controls_may_be_left_out() -> None:

@@ -221,7 +221,7 @@ def test_an_assumed_dry_mass_makes_nothing_impossible() -> None:
     refuse_impossible(weak)
     warned = next(f for f in weak if f.name == "landed mass that the thrust can hold")
     assert warned.verdict == "warning" and warned.lasting and "assumed" in warned.meaning
-    assert warned.told == ("24.6274 kg", "at least 30 kg")
+    assert warned.formatted == ("24.6274 kg", "at least 30 kg")
     refuse_impossible(preflight(lander(thrust=40.0, dry_mass=5.0)))
     with pytest.raises(InfeasibleError, match="too weak"):
         refuse_impossible(preflight(lander(thrust=40.0, dry_mass=30.0)))
@@ -238,7 +238,7 @@ def test_an_assumed_dry_mass_makes_nothing_impossible() -> None:
 )
 def test_a_comparison_is_told_without_round_off(value: float, limit: float, unit: str, told: tuple[str, str]) -> None:
     one = Finding(name="n", value=value, limit=limit, at_least=False, unit=unit, binding=True, meaning="too far")
-    assert one.told == told
+    assert one.formatted == told
 
 
 def test_braking_distance_has_its_simple_limit() -> None:

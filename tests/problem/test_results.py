@@ -17,7 +17,7 @@ import perilune as pl
 from perilune import Indirect, Pseudospectral
 from perilune.core import Outcome, PeriluneError
 from perilune.io import extremals_document, solution_document
-from perilune.problem.display.views import Beside, Views
+from perilune.problem.display.views import ComparisonFlight, Views
 from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Result, Solution
 from perilune.report.figures import label, solution_figures
@@ -184,7 +184,7 @@ def test_an_unknown_result_cannot_be_maximised(landing: Any) -> None:
     [
         (Views(label="{delta_w:.1f}"), "no result of this name"),
         (Views(radius="body_radios"), "did you mean 'body_radius'"),
-        (Views(beside=Beside(given=(("retro", 0.0),), label="plain")), "no parameter of this name"),
+        (Views(comparison=ComparisonFlight(given=(("retro", 0.0),), label="plain")), "no parameter of this name"),
         (Views(height="altitud"), "did you mean 'altitude'"),
     ],
 )
@@ -213,7 +213,7 @@ def test_no_inertial_view_is_said(hybrid: Solution) -> None:
 def test_a_lone_extremal_from_a_guess_is_not_called_best(landing: Any, hybrid: Solution, ordinary: Solution) -> None:
     """It was compared with no other."""
     again = solve(landing, guess=hybrid, verify=0)
-    assert again.statistics.rung == "guess"
+    assert again.statistics.initialization == "guess"
     assert [e.nature for e in again.extremals] == [Nature.NEAR_GUESS]
     assert hybrid.extremals[0].nature is Nature.BEST
     assert "global" not in " ".join(nature.value for nature in Nature)
@@ -256,15 +256,15 @@ def test_legends_come_from_the_problem(hybrid: Solution, ordinary: Solution) -> 
     """By the results' values, or the words for the plainer flight."""
     assert label(hybrid) == "hybrid, ΔV = 1200.9 m/s"
     assert label(ordinary) == "ordinary, no retro burn"
-    plain: Any = replace(hybrid.problem, views=replace(hybrid.problem.views, label="", beside=None))
+    plain: Any = replace(hybrid.problem, views=replace(hybrid.problem.views, label="", comparison=None))
     assert label(replace(hybrid, problem=plain)) == hybrid.problem.title
 
 
 def test_of_a_loaded_solution_how_it_was_found_is_the_files_word(hybrid: Solution) -> None:
     """Named in the document, and not repeated in words; a solution made here claims nothing."""
     loaded = replace(hybrid, outcome=Outcome.SOLVED, statistics=replace(hybrid.statistics, from_file=True))
-    assert solution_document(loaded)["claimed"] == ["method", "statistics"]
-    assert "claimed" not in solution_document(hybrid)
+    assert solution_document(loaded)["unverified_claims"] == ["method", "statistics"]
+    assert "unverified_claims" not in solution_document(hybrid)
     for words in (solution_summary, solution_markdown):
         assert "method indirect" not in words(loaded) and "method indirect" in words(hybrid)
         assert "those listed in the file, each recomputed" in words(loaded)

@@ -182,7 +182,7 @@ def test_a_guess_of_other_sizes_is_taken_as_a_flight() -> None:
     problem = KNOWN["lunar ascent"].make()
     guess = pl.solve(problem, verify=0)
     again = pl.solve(sized(problem, m=40.0), guess=guess, verify=0)
-    assert again.statistics.rung == "guess"
+    assert again.statistics.initialization == "guess"
     assert again.objective == pytest.approx(guess.objective, rel=1e-11)
 
 

@@ -81,7 +81,7 @@ def test_a_table_that_is_off(
 
 def test_what_was_not_needed_qualifies_nothing(precise: Solution) -> None:
     found = pl.verify(precise, tolerance=MILLIMETRE).verification
-    assert found.passed and found.within == "" and found.title == "level 3: locally optimal"
+    assert found.passed and found.tolerance_used == "" and found.title == "level 3: locally optimal"
     assert found.notes == ("no part of the stated tolerance (position 1 mm) was needed",)
     failing = pl.verify(raised_by(precise, 3.0), level=1, tolerance=MILLIMETRE).verification
     assert not any("needed" in note for note in failing.notes)
@@ -173,7 +173,7 @@ def test_however_much_is_stated(precise: Solution, off: float, stated: float, co
         assert stated <= most and (strict.passed or off <= 1.001 * stated)
     if strict.passed and stated < 0.999 * most:
         assert found.passed
-    assert bool(found.within) == (found.passed and not strict.passed)
+    assert bool(found.tolerance_used) == (found.passed and not strict.passed)
 
 
 @pytest.mark.parametrize(
@@ -320,8 +320,12 @@ def test_a_value_is_told_in_one_way() -> None:
     stated = {"position": ("1 mm", "1 m", "2.5 km", "0.2 mm"), "angle": ("0.001 deg",), "mass": ("1 g", "3 kg")}
     for name, texts in stated.items():
         for text in texts:
-            assert scenario(f'[proof]\n{name} = "{text}"\n').told() == f"{name} {text}"
-    assert scenario('[proof]\nposition = "1e-6 km"\n').told() == pl.Tolerance(position=1e-3).told() == "position 1 mm"
+            assert scenario(f'[proof]\n{name} = "{text}"\n').describe() == f"{name} {text}"
+    assert (
+        scenario('[proof]\nposition = "1e-6 km"\n').describe()
+        == pl.Tolerance(position=1e-3).describe()
+        == "position 1 mm"
+    )
     assert format_tolerance("angle", math.radians(1e-3)) == "0.001 deg"
 
 
@@ -389,13 +393,13 @@ def test_it_is_said_wherever_the_outcome_is(precise: Solution) -> None:
     assert "(limit 0.001 stated, its own 1.7e-06)" in solution_summary(proved)
     assert "state_up | 0.0003 | 0.001 stated, its own 1.73e-06" in solution_markdown(proved)
     document = read_json(json.dumps(solution_document(proved)))
-    assert document["within"] == document["verification"]["within"] == WITHIN
+    assert document["tolerance_used"] == document["verification"]["tolerance_used"] == WITHIN
     assert document["verification"]["tolerance"] == {"position": {"value": 1e-3, "unit": "m"}}
     check = next(c for c in document["verification"]["checks"] if c["name"] == "state_up")
     assert check["own_limit"] < check["value"] < check["limit"] == 1e-3 and check["raised_by"] == "position"
-    assert whole_document(proved)["outcome"]["within"] == WITHIN
+    assert whole_document(proved)["outcome"]["tolerance_used"] == WITHIN
     plain = read_json(json.dumps(solution_document(pl.verify(precise, 1))))
-    assert plain["within"] == "" and plain["verification"]["tolerance"] == {}
+    assert plain["tolerance_used"] == "" and plain["verification"]["tolerance"] == {}
     assert not any("own_limit" in c for c in plain["verification"]["checks"])
 
 
@@ -403,11 +407,11 @@ def test_it_goes_with_a_solution(precise: Solution, tmp_path: Path) -> None:
     """Through files and processes, at level 0 too; and who proves again may state another, or none."""
     asked = pl.verify(raised_by(precise, 0.3), 0, MILLIMETRE)
     assert asked.outcome is Outcome.SOLVED and asked.verification.tolerance == MILLIMETRE
-    assert pl.verify(asked, level=1).verification.within == WITHIN
-    assert pl.verify(pickle.loads(pickle.dumps(asked)), level=1).verification.within == WITHIN
+    assert pl.verify(asked, level=1).verification.tolerance_used == WITHIN
+    assert pl.verify(pickle.loads(pickle.dumps(asked)), level=1).verification.tolerance_used == WITHIN
     save(asked, tmp_path)
     loaded = pl.load(tmp_path)
-    assert not loaded.verification.checks and loaded.verification.within == ""
+    assert not loaded.verification.checks and loaded.verification.tolerance_used == ""
     assert pl.verify(loaded, 3).verification.title.endswith(WITHIN)
     assert pl.verify(pl.load(tmp_path), 1).verification.title == f"level 1: feasible, {WITHIN}"
     again = pl.verify(loaded, 1, pl.Tolerance())
@@ -469,7 +473,7 @@ def test_a_stranger_cannot_hide_what_was_needed(saved: dict[str, Any], tmp_path:
         (tmp_path / SOLUTION_FILE).write_text(json.dumps(document), encoding="utf-8")
         found = pl.verify(pl.load(tmp_path), 1)
         assert (found.outcome is Outcome.PROVED) == proved
-        assert found.verification.within == ("within the stated tolerance (position 1 m)" if proved else "")
+        assert found.verification.tolerance_used == ("within the stated tolerance (position 1 m)" if proved else "")
 
 
 @dataclass(frozen=True)
@@ -497,9 +501,9 @@ def test_a_sweep_and_its_store(precise: Solution, tmp_path: Path, elsewhere: boo
 
     family, lines = swept(MILLIMETRE)
     assert [point.outcome for point in family.points] == [Outcome.PROVED] * 2
-    assert [point.within for point in family.points] == [WITHIN] * 2
+    assert [point.tolerance_used for point in family.points] == [WITHIN] * 2
     assert not elsewhere or f"PROVED {WITHIN}" in lines
-    assert [point["within"] for point in family_document(family)["points"]] == [WITHIN] * 2
+    assert [point["tolerance_used"] for point in family_document(family)["points"]] == [WITHIN] * 2
     rows = list(csv.reader(StringIO(family_csv(family))))
     assert [row[-3:] for row in rows[1:]] == [["PROVED", "1", WITHIN]] * 2
     again, lines = swept(MILLIMETRE)
@@ -512,7 +516,7 @@ def test_a_sweep_and_its_store(precise: Solution, tmp_path: Path, elsewhere: boo
 def test_a_sweep_from_neighbour_to_neighbour(precise: Solution) -> None:
     (point,) = pl.sweep(precise.problem, {"vehicle.thrust": [8e3]}, verify=1, tolerance=MILLIMETRE).points
     assert point.solution is not None and point.solution.verification.tolerance == MILLIMETRE
-    assert point.outcome is Outcome.PROVED and point.within == ""
+    assert point.outcome is Outcome.PROVED and point.tolerance_used == ""
 
 
 def test_a_stored_member_states_nothing_for_a_sweep(precise: Solution, tmp_path: Path) -> None:
@@ -555,7 +559,7 @@ def test_the_command_line_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert f"PROVED, level 3: locally optimal, {NEEDED}" in capsys.readouterr().out
     assert run_command_line(["verify", out, "--json", "--level", "2"]) == 0
     document = read_json(capsys.readouterr().out)
-    assert document["outcome"] == "PROVED" and document["within"] == NEEDED
+    assert document["outcome"] == "PROVED" and document["tolerance_used"] == NEEDED
     assert set(document["verification"]["tolerance"]) == {"position", "optimality"}
 
 
@@ -584,4 +588,4 @@ def test_a_sweep_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert capsys.readouterr().out.rstrip().endswith(f"PROVED,2,{NEEDED}")
     assert run_command_line([*arguments, *STATED, "--json"]) == 0
     (point,) = read_json(capsys.readouterr().out)["points"]
-    assert point["outcome"] == "PROVED" and point["within"] == NEEDED
+    assert point["outcome"] == "PROVED" and point["tolerance_used"] == NEEDED

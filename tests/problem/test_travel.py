@@ -27,8 +27,8 @@ def test_a_copy_is_equal_and_proves_again(ordinary: Solution) -> None:
     assert hash(there) == hash(ordinary)
     proved = verify(there, 3)
     assert proved.outcome is Outcome.PROVED
-    assert proved.verification.text == "expressions from a copy"
-    assert verify(ordinary, 1).verification.text == "the problem's own Python functions"
+    assert proved.verification.source == "expressions from a copy"
+    assert verify(ordinary, 1).verification.source == "the problem's own Python functions"
     assert copy.deepcopy(ordinary) == ordinary
 
 

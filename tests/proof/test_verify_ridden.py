@@ -126,7 +126,7 @@ def test_a_lander_with_a_speed_limit_is_locally_optimal(limit: float) -> None:
     solution = pl.solve(speed_limit(limit))
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
     assert solution.objective == pytest.approx(-mass, rel=1e-9)
-    along = next(arc for arc in solution.structure if arc.words == "along room")
+    along = next(arc for arc in solution.structure if arc.description == "along room")
     assert (along.begin, along.end) == (pytest.approx(met, rel=1e-6), pytest.approx(left, rel=1e-6))
 
 

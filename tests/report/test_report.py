@@ -65,7 +65,7 @@ def hybrid() -> Solution:
                 nature=Nature.LOCAL_OPTIMUM_AT_BOUND,
             ),
         ),
-        statistics=Statistics(rung="test", tried=("test",), iterations=7),
+        statistics=Statistics(initialization="test", attempts=("test",), iterations=7),
         verification=Verification(checks=CHECKS),
     )
 
@@ -108,7 +108,7 @@ def test_the_json_document_has_the_promised_shape(hybrid: Solution) -> None:
         "title",
         "method",
         "outcome",
-        "within",
+        "tolerance_used",
         "results",
         "extremals",
         "warnings",
@@ -178,7 +178,7 @@ def test_a_saved_solution_comes_back_exactly_but_unproved(hybrid: Solution, tmp_
     assert dict(back.multipliers) == dict(hybrid.multipliers)
     assert back.extremals == () and back.unverified_extremals == hybrid.extremals
     assert back.unknowns is not None and (back.unknowns == hybrid.unknowns).all()
-    assert back.statistics.rung == "test" and math.isnan(back.statistics.wall_time)
+    assert back.statistics.initialization == "test" and math.isnan(back.statistics.wall_time)
     old, new = hybrid.trajectories[0], back.trajectories[0]
     assert old.costate is not None and new.costate is not None
     for a, b in ((old.state, new.state), (old.control, new.control), (old.costate, new.costate)):
@@ -189,7 +189,7 @@ def test_a_saved_solution_explains_itself(hybrid: Solution, tmp_path) -> None:
     """Format, interpolation rule, units, scenario and versions are in the file."""
     save(hybrid, tmp_path, SCENARIO)
     document = json.loads((tmp_path / "solution.json").read_text(encoding="utf-8"))
-    assert document["format"]["name"] == "perilune-solution" and document["format"]["version"] == 2
+    assert document["format"]["name"] == "perilune-solution" and document["format"]["version"] == 3
     assert set(document["format"]["fields"]) - {"null"} <= {
         *document,
         *(f"phases.{key}" for key in document["phases"][0]),

@@ -220,7 +220,7 @@ def test_settings_reach_the_method(capsys: pytest.CaptureFixture[str]) -> None:
     loose = read_json(capsys.readouterr().out)
     assert run_command_line(["solve", *told, "--json"]) == 5
     tight = read_json(capsys.readouterr().out)
-    assert "4 nodes" in loose["statistics"]["rung"]
+    assert "4 nodes" in loose["statistics"]["initialization"]
     assert 1e-6 < loose["statistics"]["residual"] < 1e-3
     assert tight["statistics"]["residual"] <= 1e-6
     assert run_command_line(["sweep", *told, "--tolerance", "1e-3", "--vary", "site.longitude=0:3:3 deg"]) == 0

@@ -76,7 +76,7 @@ def test_the_structure_is_revised_to_one_that_leaves(rough: Solution) -> None:
 def test_what_leaves_before_its_end_is_found_and_proved() -> None:
     solution = pl.solve(drawn_off())
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
-    [arc] = [arc for arc in solution.structure if arc.words == "along height"]
+    [arc] = [arc for arc in solution.structure if arc.description == "along height"]
     assert arc.begin == pytest.approx(FROM, abs=1e-8)
     assert arc.end == pytest.approx(UNTIL, abs=1e-8)
 
@@ -97,7 +97,7 @@ def test_an_arc_that_pays_nowhere_is_a_touch(hop: Solution) -> None:
         "structure free and touches height, free: an extremal",
     ]
     assert hop.outcome is pl.Outcome.PROVED and hop.verification.level == 3
-    [touch] = [arc for arc in hop.structure if "height" in arc.words]
+    [touch] = [arc for arc in hop.structure if "height" in arc.description]
     assert touch.words == "contact point of height" and touch.begin == touch.end == pytest.approx(0.5, abs=1e-9)
     s = np.linspace(0.01, 0.49, 25)
     assert hop.trajectories[0].state(0.5 + s)[:, 0] == pytest.approx(HOP * (s * (0.5 - s)) ** 2 / 24, abs=1e-14)

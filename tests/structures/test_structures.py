@@ -177,14 +177,14 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path:
     proof = pl.verify(solution, level=1).verification
     assert proof.passed
     assert solution.results["propellant"].value == pytest.approx(398.069674, abs=1e-5)
-    names = {arc.words: arc for arc in solution.structure}
+    names = {arc.description: arc for arc in solution.structure}
     assert (
         names["contact point of glide"].end
         == pytest.approx(32.826402, abs=1e-5)
         == names["contact point of glide"].begin
     )
-    powers = [arc for arc in solution.structure if arc.words.startswith("T ")]
-    assert {arc.words for arc in powers} == {"T at its upper bound", "T at its lower bound"}
+    powers = [arc for arc in solution.structure if arc.description.startswith("T ")]
+    assert {arc.description for arc in powers} == {"T at its upper bound", "T at its lower bound"}
     assert powers[0].begin == 0.0 and powers[-1].end == pytest.approx(solution.free["flight_time"])
     assert all(a.end == b.begin and a.words != b.words for a, b in itertools.pairwise(powers))
     assert format_arcs(solution.structure).count("contact point of glide at 32.83 s") == 1
@@ -193,7 +193,7 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path:
         pl.save(solution, tmp_path / str(k))
         solution = pl.load(tmp_path / str(k))
     assert solution.structure == kept
-    assert solution_document(solution)["claimed"] == ["method", "statistics", "structure"]
+    assert solution_document(solution)["unverified_claims"] == ["method", "statistics", "structure"]
     assert solution.results["time"].value == solution.free["flight_time"]
     t = np.linspace(0.0, solution.free["flight_time"], 2001)
     assert problem.phases[0].evaluate("path", *solution.evaluate(0, t), solution.parameters)[0].min() > -1e-6

@@ -129,7 +129,7 @@ def proof_message(verification: Verification) -> dict[str, Any]:
     """Return the message of the checks: each with its value, its limit and its meaning."""
     return {
         "level": verification.level,
-        "within": verification.within,
+        "tolerance_used": verification.tolerance_used,
         "checks": [
             {
                 "name": check.name,

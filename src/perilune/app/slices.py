@@ -76,7 +76,7 @@ def _slice_message(shown: Slice, along: Sequence[str]) -> dict[str, Any]:
         "along": [round_to_digits(array) for array in shown.values],
         "objective": round_to_digits(shown.answers.objective),
         "sheet": [int(sheet) for sheet in shown.answers.sheet],
-        "why": [int(why) for why in shown.why],
+        "why": [int(why) for why in shown.reason_index],
         "reasons": list(shown.reasons),
         "sheets": list(shown.sheets),
     }

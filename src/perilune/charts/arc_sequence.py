@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -60,12 +60,20 @@ class ArcSequence:
     def document(self) -> dict[str, Any]:
         """Return the entry for a manifest; times are initial values of free durations."""
         if self.structure is None:
-            return {"keep": list(self.keep)}
+            return {"attainable_conditions": list(self.keep)}
         arcs = [
-            [{**asdict(a), "until": a.until if math.isfinite(a.until) else None} for a in arcs]
+            [
+                {
+                    "along": a.along,
+                    "contact_points": a.touches,
+                    "regimes": a.regimes,
+                    "until": a.until if math.isfinite(a.until) else None,
+                }
+                for a in arcs
+            ]
             for arcs in self.structure.phases
         ]
-        return {"keep": list(self.keep), "structure": arcs}
+        return {"attainable_conditions": list(self.keep), "structure": arcs}
 
 
 PLAIN = ArcSequence()
@@ -73,7 +81,7 @@ PLAIN = ArcSequence()
 
 def arc_sequence_from(document: Mapping[str, Any]) -> ArcSequence:
     """Read the course that `ArcSequence.document` wrote."""
-    keep, said = tuple(map(str, document["keep"])), document.get("structure")
+    keep, said = tuple(map(str, document["attainable_conditions"])), document.get("structure")
     return ArcSequence(keep, None if said is None else Structure(tuple(tuple(map(_arc, arcs)) for arcs in said)))
 
 
@@ -81,7 +89,7 @@ def _arc(said: Mapping[str, Any]) -> Arc:
     until = said["until"]
     return Arc(
         along=tuple(map(str, said["along"])),
-        touches=tuple(map(str, said["touches"])),
+        touches=tuple(map(str, said["contact_points"])),
         regimes=tuple((str(name), str(regime)) for name, regime in said["regimes"]),
         until=math.nan if until is None else float(until),
     )

@@ -267,13 +267,13 @@ def _atlas_description(atlas: Atlas, **more: str) -> CommandAnswer:
     sample = sample_of(atlas)
     lines += sample.describe(atlas)
     proofs = {
-        "drawn": len(sample.drawn), "proved": sample.proved, "share": sample.share, "thin_nodes": sample.thin_nodes,
-        "thin_drawn": len(sample.thin), "kept": len(sample.kept), "refused": sample.refused,
-        "unproved": [asdict(one) for one in sample.unproved],
+        "drawn": len(sample.drawn), "proved": sample.proved, "share": sample.share,
+        "thin_margin_nodes": sample.thin_nodes, "thin_margin_drawn": len(sample.thin), "merged": len(sample.merged),
+        "refused": sample.refused, "unproved": [asdict(one) for one in sample.unproved],
     }  # fmt: skip
     document = {
         "problem": atlas.problem.name, "axes": axes, "tolerance": atlas.tolerance, "bricks": len(atlas.said),
-        "nodes": nodes, "bytes": size, "covered": share._asdict(), "sheets": sheets, "proofs": proofs,
+        "nodes": nodes, "bytes": size, "coverage": share._asdict(), "sheets": sheets, "proofs": proofs,
         "notes": notes, **more,
     }  # fmt: skip
     return CommandAnswer(text="\n".join(lines), document=document, exit_code=5 if more and sample.unproved else 0)
@@ -287,7 +287,11 @@ def _query_lines(query: Query) -> list[str]:
         f"{query.error_bound:.1e} (relative)",
         f"  re-integrated independently: end conditions {query.residual:.1e}, drift of H {query.drift:.1e} (limits"
         f" 1e-9, canonical)",
-        *([f"  answers at randomly drawn nodes: all proved to level {query.inherited}"] if query.inherited else ()),
+        *(
+            [f"  answers at randomly drawn nodes: all proved to level {query.sample_level}"]
+            if query.sample_level
+            else ()
+        ),
     ]
 
 

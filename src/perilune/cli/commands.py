@@ -96,11 +96,11 @@ def _plainer_flight(solution: Solution) -> Solution | None:
     """
     from perilune import solve as solve_problem
 
-    beside = solution.problem.views.beside
-    if beside is None or all(getattr(solution.parameters, name) == value for name, value in beside.given):
+    comparison = solution.problem.views.comparison
+    if comparison is None or all(getattr(solution.parameters, name) == value for name, value in comparison.given):
         return None
     try:
-        return solve_problem(solution.problem.with_given(**dict(beside.given)), verify=0)
+        return solve_problem(solution.problem.with_given(**dict(comparison.given)), verify=0)
     except PeriluneError:
         return None
 
@@ -158,7 +158,7 @@ def _run_check_command(typed: Namespace) -> CommandAnswer:
     ]
     lines = [problem.heading, *(f"  {'read':10} {text}" for text in problem.inputs_read)]
     for f in found:
-        lines.append(f"  {f.verdict:10} {f.name}: {f.told[0]} ({f.told[1]})")
+        lines.append(f"  {f.verdict:10} {f.name}: {f.formatted[0]} ({f.formatted[1]})")
         lines += [] if f.passed else [f"             {f.meaning}"]
     inputs = {"inputs": list(problem.inputs_read)} if problem.inputs_read else {}
     try:

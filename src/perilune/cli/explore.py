@@ -91,7 +91,7 @@ def _write_static_page(subject: Subject, file: Path, vary: Sequence[str], force:
     }
     told = " and ".join(f"{key} from {span}" for key, span in moves.items())
     text = f"written to {file}: {len(page) / 1e6:.1f} MB; on it {told} can be moved (--vary selects others)\n{words}"
-    return CommandAnswer(text=text, document={"written": str(file), "moves": moves, "stored": words})
+    return CommandAnswer(text=text, document={"written": str(file), "sliders": moves, "stored": words})
 
 
 def _chosen_sliders(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:

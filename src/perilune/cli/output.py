@@ -51,7 +51,7 @@ def emit_answer(as_json: bool, work: Callable[[], CommandAnswer], verbose: bool 
     except Exception as error:
         # Foreign code that is met by Ctrl-C may make an error of its own of it.
         answer = refusal_answer(interrupted_error(), INTERRUPTED) if STOPPED.is_set() else answer_of_error(error)
-        if verbose and (tried := getattr(error, "partial", {}).get("tried")):
+        if verbose and (tried := getattr(error, "partial", {}).get("attempts")):
             answer = replace(answer, text="\n    ".join([answer.text, *(f"- {line}" for line in tried)]))
     return print_answer(answer, as_json)
 

@@ -165,7 +165,7 @@ def print_warnings(found: Sequence[Finding]) -> None:
     """Print every comparison that warns; the refusal reports one that forbids the flight."""
     for f in found:
         if f.verdict == "warning":
-            print_to_stderr(f"warning: {f.meaning} ({f.name} {f.told[0]}, {f.told[1]})")
+            print_to_stderr(f"warning: {f.meaning} ({f.name} {f.formatted[0]}, {f.formatted[1]})")
 
 
 def print_note(text: str) -> None:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
         renamed_keywords,
         renamed_names,
         rewritten_keywords,
-        warn_renamed,
     )
     from perilune.core.errors import (
         BEST_MISSES,
@@ -58,6 +57,7 @@ if TYPE_CHECKING:
     )
     from perilune.core.lazy import Deferred
     from perilune.core.maths import MOST_KNOTS, NUMERIC, NUMPY_NAMES, Table, comparison_fails
+    from perilune.core.renaming import warn_renamed
     from perilune.core.stated_number import stated_text
     from perilune.core.units import (
         STANDARD_GRAVITY,

@@ -3,40 +3,16 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Callable, Mapping
 from functools import wraps
 from importlib import import_module
-from types import FrameType, ModuleType
+from types import ModuleType
 from typing import Any, TypeVar, cast
 
 from perilune.core.errors import PeriluneError
+from perilune.core.renaming import copies_records, warn_renamed
 
 Asked = TypeVar("Asked", bound=Callable[..., Any])
-
-
-def warn_renamed(old: str, new: str, depth: int = 1) -> None:
-    """Warn that a name is another one now.
-
-    Parameters
-    ----------
-    old, new
-        The two names, as a user writes them.
-    depth
-        Number of calls between the user's line and the caller of this function; those of `dataclasses.replace` are
-        not counted.
-    """
-    frame = sys._getframe(depth + 1)
-    while frame.f_back is not None and _copies_records(frame):
-        frame, depth = frame.f_back, depth + 1
-    warnings.warn(
-        f"{old} is {new} now; the old name goes with the next minor version", DeprecationWarning, stacklevel=depth + 2
-    )
-
-
-def _copies_records(frame: FrameType) -> bool:
-    """Return True for a frame of `dataclasses.replace` or `copy.replace`."""
-    return frame.f_globals.get("__name__") in ("dataclasses", "copy")
 
 
 def renamed_names(module: str, new: Mapping[str, str]) -> Callable[[str], Any]:
@@ -81,7 +57,7 @@ def renamed_keywords(**new: str) -> Callable[[Asked], Asked]:
 
     def by_new_names(called: str, keywords: dict[str, Any]) -> dict[str, Any]:
         for old in [old for old in new if old in keywords]:
-            if new[old] in keywords and not _copies_records(sys._getframe(2)):
+            if new[old] in keywords and not copies_records(sys._getframe(2)):
                 raise PeriluneError(
                     f"{called} takes a value by one name only",
                     got=f"{old}=..., {new[old]}=...",
@@ -121,7 +97,7 @@ def rewritten_keywords(rewrite: Callable[[str, dict[str, Any]], dict[str, Any]])
 
 
 class RenamedAttribute:
-    """Old name of an attribute or method of a class.
+    """Old name of an attribute or method of a class, which `dir` and `help` do not show.
 
     Parameters
     ----------
@@ -131,13 +107,25 @@ class RenamedAttribute:
 
     def __init__(self, new: str) -> None:
         self.new: str = new
-        self.old: str = ""
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.old = f"{owner.__name__}.{name}"
+    def __get__(self, instance: Any, owner: type) -> Any: ...  # only for type checkers: no class keeps one of these
 
-    def __get__(self, instance: Any, owner: type) -> Any:
-        if instance is None:
-            return self
-        warn_renamed(self.old, f"{owner.__name__}.{self.new}")
-        return getattr(instance, self.new)
+    def __set_name__(self, owner: Any, name: str) -> None:
+        delattr(owner, name)
+        if "_renamed_attributes" not in vars(owner):
+            owner._renamed_attributes = dict(getattr(owner, "_renamed_attributes", {}))
+            owner.__getattr__ = _attribute_by_old_name(getattr(owner, "__getattr__", object.__getattribute__))
+        owner._renamed_attributes[name] = self.new
+
+
+def _attribute_by_old_name(otherwise: Callable[[Any, str], Any]) -> Callable[[Any, str], Any]:
+    """Return the ``__getattr__`` of a class with old names; `otherwise` finds the others, or raises."""
+
+    def attribute(instance: Any, name: str) -> Any:
+        if (new := type(instance)._renamed_attributes.get(name)) is None:
+            return otherwise(instance, name)
+        kind = type(instance).__name__
+        warn_renamed(f"{kind}.{name}", f"{kind}.{new}")
+        return getattr(instance, new)
+
+    return attribute

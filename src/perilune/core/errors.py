@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import Any, NoReturn, TypeVar
+from typing import Any, ClassVar, NoReturn, TypeVar
+
+from perilune.core.renaming import warn_renamed
 
 Kept = TypeVar("Kept")
 
@@ -48,6 +50,30 @@ _EXIT_CODES = {
     "REFUSED": 2,
     "INTERRUPTED": 130,
 }
+
+
+class Partial(dict[str, Any]):
+    """Entries that a failure keeps, by name; old names are read with a `DeprecationWarning`."""
+
+    _RENAMED: ClassVar[dict[str, str]] = {
+        "tried": "attempts", "missed": "violations", "all_missed": "all_infeasible", "settled": "converged"
+    }  # fmt: skip
+
+    def __missing__(self, key: str) -> Any:
+        if self._RENAMED.get(key) not in self:
+            raise KeyError(key)
+        return self._by_old_name(key)
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """Return the entry of a name, or of its old one."""
+        if key in self or self._RENAMED.get(key) not in self:
+            return super().get(key, default)
+        return self._by_old_name(key)
+
+    def _by_old_name(self, key: str) -> Any:
+        new = self._RENAMED[key]
+        warn_renamed(f"partial[{key!r}]", f"partial[{new!r}]", 2)
+        return self[new]
 
 
 class PeriluneError(ValueError):
@@ -105,7 +131,7 @@ class InfeasibleError(PeriluneError):
     ) -> None:
         super().__init__(what, got=got, expected=expected, advice=advice)
         self.reason = reason
-        self.partial: dict[str, Any] = partial or {}
+        self.partial: dict[str, Any] = Partial(partial or {})
 
     def __str__(self) -> str:
         what, *parts = super().__str__().split("\n")
@@ -113,11 +139,11 @@ class InfeasibleError(PeriluneError):
 
 
 class NotConvergedError(PeriluneError):
-    """Failure of every rung of the ladder.
+    """Failure of every way of starting.
 
-    `partial` carries what was computed before: the best iterate's residuals in physical units and the rungs tried.
-    `flight` is the best flight that was found, a Solution though no extremal, or None: `partial["missed"]` says what it
-    misses, if anything, and its `statistics.residual` how rough its mesh is.
+    `partial` carries what was computed before: the best iterate's residuals in physical units and the `attempts`.
+    `flight` is the best flight that was found, a Solution though no extremal, or None: `partial["violations"]` says
+    what it violates, if anything, and its `statistics.residual` how rough its mesh is.
     """
 
     exit_code = 4
@@ -133,7 +159,7 @@ class NotConvergedError(PeriluneError):
         flight: Any = None,
     ) -> None:
         super().__init__(what, got=got, expected=expected, advice=advice)
-        self.partial: dict[str, Any] = partial or {}
+        self.partial: dict[str, Any] = Partial(partial or {})
         self.flight = flight
 
 

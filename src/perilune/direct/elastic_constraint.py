@@ -80,7 +80,7 @@ class ElasticLimit:
             phases=phases, free=(*free, *new), given={**problem.given, **stated}, objective=least,
             objective_unit=unit, objective_scale=size, results=None,
             maximised="", minimised="", parameter_bounds=None, preflight=None, consistency_checks=None,
-            declared=(), form=None,
+            records=(), form=None,
         )  # fmt: skip
 
     def relaxations(self, free: Mapping[str, float]) -> dict[str, float]:

@@ -265,10 +265,10 @@ class FirstMesh:
             )
 
     def partial(self, answer: ProgramSolution, missed: list[str]) -> dict[str, Any]:
-        """Return what a failure keeps; `all_missed` is True if every start led to a least miss, if only of no flight.
+        """Return what a failure keeps; `all_infeasible` is True if every start led to a least miss.
 
-        `least_miss` is its size in canonical units, where it is more than the error of the mesh; `settled` whether any
-        start led to one that is a flight.
+        `least_miss` is its size in canonical units, where it is more than the error of the mesh; `converged` whether
+        any start led to one that is a flight.
 
         Parameters
         ----------
@@ -278,10 +278,10 @@ class FirstMesh:
             A sentence for each condition that it misses.
         """
         told = {
-            "missed": missed,
-            "all_missed": self.all_missed,
-            "settled": self.settled,
-            "tried": tuple(self.run.tried),
+            "violations": missed,
+            "all_infeasible": self.all_missed,
+            "converged": self.settled,
+            "attempts": tuple(self.run.tried),
         }
         return told | {"free": answer.free_si(self.problem)}
 

@@ -125,7 +125,7 @@ class MeshRefinement(Run):
             got=f"relative error {look.worst:.2g} after {after}; {error_text(self.problem, look.errors)}",
             expected=f"<= {self.settings.tolerance:g}",
             advice=f"raise refine or tolerance; {cause}",
-            partial={"tried": tuple(self.tried), "free": dict(best.free), "objective": best.objective},
+            partial={"attempts": tuple(self.tried), "free": dict(best.free), "objective": best.objective},
             flight=best,
         )
 

@@ -203,8 +203,8 @@ class Run:
             ),
             multipliers=multipliers,
             statistics=Statistics(
-                rung=f"{self.settings.scheme} collocation, {sum(m.nodes for m in program.meshes)} nodes",
-                tried=tuple(self.tried),
+                initialization=f"{self.settings.scheme} collocation, {sum(m.nodes for m in program.meshes)} nodes",
+                attempts=tuple(self.tried),
                 iterations=self.iterations,
                 residual=worst,
                 wall_time=time.perf_counter() - self.began,

@@ -56,9 +56,9 @@ def family_dataset(family: Family) -> xarray.Dataset:
     Returns
     -------
     xarray.Dataset
-        Free parameters, results, ``outcome``, ``verification_level``, ``within`` and ``message`` over the dimensions,
-        given parameters that are the same in all members without; ``units`` and ``long_name`` as the CF conventions
-        have them.
+        Free parameters, results, ``outcome``, ``verification_level``, ``tolerance_used`` and ``message`` over the
+        dimensions, given parameters that are the same in all members without; ``units`` and ``long_name`` as the CF
+        conventions have them.
 
     Raises
     ------
@@ -210,7 +210,7 @@ def _endings(family: Family) -> dict[str, list[Any]]:
     return {
         "outcome": [p.outcome.name for p in family.points],
         _LEVEL: [p.solution.verification.level if p.solution is not None else 0 for p in family.points],
-        "within": [p.within for p in family.points],
+        "tolerance_used": [p.tolerance_used for p in family.points],
         "message": [p.message for p in family.points],
     }
 

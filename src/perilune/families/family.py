@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from perilune.core import (
     Outcome,
     PeriluneError,
+    RenamedAttribute,
     check_call,
     format_value_range,
     method_function,
@@ -40,6 +41,7 @@ class FamilyPoint:
     solution: Solution | None
     message: str = ""
     failure: Outcome | None = None
+    within: ClassVar[RenamedAttribute] = RenamedAttribute("tolerance_used")
 
     def __post_init__(self) -> None:
         allowed = (None,) if self.solution is not None else tuple(_FAILURES.values())
@@ -65,9 +67,9 @@ class FamilyPoint:
         return self.failure
 
     @property
-    def within(self) -> str:
+    def tolerance_used(self) -> str:
         """Return the part of a stated tolerance that the proof needed, in words; empty for none."""
-        return "" if self.solution is None else self.solution.verification.within
+        return "" if self.solution is None else self.solution.verification.tolerance_used
 
 
 def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint:
@@ -145,7 +147,7 @@ class Family:
         """Return the members as rows of a frame of pandas; see `perilune.families.export_frames.family_frame`.
 
         Parameters, free parameters and results, angles in degrees and everything else in SI (``attrs["units"]``), then
-        ``outcome``, ``verification_level``, ``within`` and ``message``.
+        ``outcome``, ``verification_level``, ``tolerance_used`` and ``message``.
 
         Raises
         ------

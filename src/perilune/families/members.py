@@ -179,7 +179,7 @@ class Members:
             back = [] if found is None else [(found[0], self._own(*found))]
             for i, point in (*refused, *back):
                 done += 1
-                said = " ".join(text for text in (point.outcome.name, point.within) if text)
+                said = " ".join(text for text in (point.outcome.name, point.tolerance_used) if text)
                 self._say(i, f": {said}, {done} of {len(self.values)} done")
                 yield i, point
             refused.clear()

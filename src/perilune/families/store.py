@@ -40,12 +40,13 @@ from perilune.io import (
     short_text,
     tree,
 )
-from perilune.problem import Problem, Solution, Trajectory, Verification
+from perilune.problem import Problem, Solution, Trajectory, Verification, with_new_keys
 
 if TYPE_CHECKING:
     from perilune.families.members import Members
 
-MANIFEST, _FORMAT = "sweep.json", {"name": "perilune-sweep", "version": 1}
+MANIFEST, _FORMAT = "sweep.json", {"name": "perilune-sweep", "version": 2}
+_KNOWN_FORMATS = ({**_FORMAT, "version": 1}, _FORMAT)  # the first with other keys (`perilune.problem.renamed_keys`)
 _OURS = re.compile(r"\d{6,}\.(json|npz)|\.writing-.*|sweep\.json")
 
 
@@ -78,7 +79,7 @@ class FamilyStore:
                 self._put(MANIFEST, json.dumps({"format": _FORMAT, "versions": program_versions(), **said}).encode())
             found = self._manifest()
             differs = [name for name, value in said.items() if found.get(name) != value]
-            if found.get("format") != _FORMAT or differs:
+            if found.get("format") not in _KNOWN_FORMATS or differs:
                 raise _unusable_family_store(
                     self.directory, f"a sweep that differs in its {', '.join(differs) or 'format'}", "the same sweep"
                 )
@@ -170,7 +171,8 @@ class FamilyStore:
         if document.get("solution") is None:
             failure = enumeration_member(Outcome, Outcome.__members__.get(short_text(document, "failure")), "failure")
             return FamilyPoint(values=values, solution=None, message=message, failure=failure)
-        return FamilyPoint(values=values, solution=self._solution(i, part(document, "solution", dict)), message=message)
+        said = with_new_keys(part(document, "solution", dict), "answer")
+        return FamilyPoint(values=values, solution=self._solution(i, said), message=message)
 
     def _solution(self, i: int, document: Mapping[str, Any]) -> Solution:
         problem = self.members.problem_of(i)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 
-FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE = "perilune-solution", 2, "solution.json"
-# Of the first version the problem is nothing but its scenario's text.
-WITH_SCENARIO_ONLY, KNOWN_VERSIONS = 1, (1, FORMAT_VERSION)
+FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE = "perilune-solution", 3, "solution.json"
+# Of the first version the problem is nothing but its scenario's text; the second has other keys
+# (`perilune.problem.renamed_keys`).
+WITH_SCENARIO_ONLY, KNOWN_VERSIONS = 1, (1, 2, FORMAT_VERSION)
 LARGEST_FILE = 64 * 2**20  # bytes; the largest trajectory (6401 nodes, 10 states) takes about 8 MB
 
 

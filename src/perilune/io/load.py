@@ -60,6 +60,7 @@ from perilune.problem import (
     directions,
     format_failed_checks,
     unit_of,
+    with_new_keys,
 )
 
 MOST_NODES = 100_000
@@ -81,8 +82,8 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
     Solution
         Unverified: a file's own claims are told and not taken over; the tolerance that was stated for its proof is, for
         the next. Its problem is that of the scenario or the model where the file has one (the model's own functions and
-        checks), else that of the expressions in the file; `problem.text` says which. The extremals that the file lists
-        are `unverified_extremals`, for `perilune.verify` to find again; `statistics` are `from_file`. Results are
+        checks), else that of the expressions in the file; `problem.source` says which. The extremals that the file
+        lists are `unverified_extremals`, for `perilune.verify` to find again; `statistics` are `from_file`. Results are
         computed again from the curves; those in the file, and derived files in the directory, are not evidence and are
         not read.
 
@@ -211,10 +212,10 @@ def _solution_tree(path: Path) -> dict[str, Any]:
         raise PeriluneError(
             "this is not a saved solution of this program",
             got=f"format {str(head)[:60]}",
-            expected=f"{FORMAT_NAME}, version 1 or {FORMAT_VERSION}",
+            expected=f"{FORMAT_NAME}, version 1 to {FORMAT_VERSION}",
             advice="solve again with --out",
         )
-    return document
+    return document if head["version"] == FORMAT_VERSION else with_new_keys(document, "solution")
 
 
 def read_trajectories(document: Mapping[str, Any], problem: Problem) -> tuple[Trajectory, ...]:
@@ -321,7 +322,7 @@ def _read_structure(document: Mapping[str, Any]) -> tuple[NamedArc, ...]:
             phase=short_text(e, "phase")[:200],
             begin=finite_number(e, "begin", "structure"),
             end=finite_number(e, "end", "structure"),
-            words=short_text(e, "words")[:200],
+            description=short_text(e, "description")[:200],
         )
         for e in entries
     )
@@ -334,10 +335,9 @@ def _statistics(entry: Mapping[str, Any]) -> Statistics:
     def known(name: str) -> float:
         return math.nan if entry.get(name) is None else finite_number(entry, name, "statistics")
 
-    tried = part(entry, "tried", list)
     return Statistics(
-        rung=short_text(entry, "rung"),
-        tried=tuple(str(rung)[:200] for rung in tried[:MOST_ENTRIES]),
+        initialization=short_text(entry, "initialization"),
+        attempts=tuple(str(attempt)[:200] for attempt in part(entry, "attempts", list)[:MOST_ENTRIES]),
         iterations=count("iterations"),
         arcs=count("arcs"),
         residual=known("residual"),

@@ -22,7 +22,7 @@ def model_document(problem: Problem) -> dict[str, Any] | None:
         return None
     sections = {
         section_of(type(made)): {name: value for name, value in record_values(made).items() if value is not None}
-        for made in problem.declared
+        for made in problem.records
     }
     document = {"kind": problem.name, "sections": sections}
     try:
@@ -49,13 +49,13 @@ def read_model(document: Mapping[str, Any], given: Mapping[str, Parameter]) -> P
     """
     name, sections = short_text(document, "kind"), part(document, "sections", dict)
     if name not in KINDS and name not in kind_names():
-        raise unknown_kind("made.kind", name[:40])
+        raise unknown_kind("model.kind", name[:40])
     kind = kind_named(name)
     for section in sections:
         if section not in kind.sections:
-            refuse_entry(f"made.sections.{section}"[:80], "an unknown section", ", ".join(kind.sections))
+            refuse_entry(f"model.sections.{section}"[:80], "an unknown section", ", ".join(kind.sections))
     records = {
-        section: _record_of_section(stated, sections.get(section), f"made.sections.{section}")
+        section: _record_of_section(stated, sections.get(section), f"model.sections.{section}")
         for section, stated in kind.sections.items()
     }
     if isinstance(body := records.get("body"), Body):

@@ -88,7 +88,7 @@ def comparisons_document(problem: Problem, places: Places) -> dict[str, Any]:
     if differing is not None:
         raise _comparisons_not_kept(differing)
     stated = [{name: getattr(f, name) for name in (*_TEXTS, *_FLAGS)} for f in found]
-    return {"stated": stated, "values": tape.document()}
+    return {"findings": stated, "values": tape.document()}
 
 
 def read_comparisons(document: Any, problem: Problem) -> Comparisons:
@@ -106,7 +106,7 @@ def read_comparisons(document: Any, problem: Problem) -> Comparisons:
     PeriluneError
         If they are not what `comparisons_document` writes.
     """
-    stated = document.get("stated") if isinstance(document, dict) else None
+    stated = document.get("findings") if isinstance(document, dict) else None
     if not isinstance(stated, list) or len(stated) > MOST_ENTRIES or not all(isinstance(f, dict) for f in stated):
         refuse_entry("comparisons", str(stated)[:40], "a list of records")
     stated = [{**_UNSTATED, **f} for f in stated]

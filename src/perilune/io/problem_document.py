@@ -33,14 +33,14 @@ def stated_problem_document(problem: Problem, scenario_text: str | None = None) 
     scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
     return {
         "scenario": scenario,
-        "made": _model_document_or_none(problem) if scenario is None else None,
+        "model": _model_document_or_none(problem) if scenario is None else None,
         "problem": physics_document(problem),
         "given": {name: {"value": g.value, "unit": g.unit} for name, g in problem.given.items()},
     }
 
 
 def _model_document_or_none(problem: Problem) -> dict[str, Any] | None:
-    if not problem.declared:
+    if not problem.records:
         return None
     from perilune.io.model_records import model_document  # and with it all models, which an own problem has no use for
 
@@ -91,12 +91,12 @@ def _stated_problem(document: Mapping[str, Any], problem_from_scenario: Callable
     source = "scenario"
     if stated is not None:
         _check_saved_given(document, stated)
-    elif document.get("made") is not None:
+    elif document.get("model") is not None:
         from perilune.io.model_records import read_model
 
         source = "model"
         with suppress(UnknownKindError):
-            stated = read_model(part(document, "made", dict), given)
+            stated = read_model(part(document, "model", dict), given)
     written = read_physics(part(document, "problem", dict), given)
     if stated is None:
         return written

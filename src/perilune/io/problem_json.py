@@ -40,14 +40,12 @@ from perilune.problem import (
     named_variables,
     roles_of,
     views,
-    written_key,
 )
 
 _CONTROLS = {kind.kind: kind for kind in (UnitVectorControl, ScalarControl)}
 # In files, the row of the variables of each field of a phase; what came last is left out where it is empty.
-_ROWS = {name: row for name, (row, _) in PAIRS.items() if name != "results"}
-_ALWAYS = set(_ROWS.values()) - {"held_conditions", "mark_variables"}
-_WRITTEN = {"guess": "typical"}  # names in files, which stay
+_ROWS = {name: PHASE_FUNCTIONS[name][1] for name in PAIRS if name != "results"}
+_ALWAYS = set(_ROWS.values()) - {"held_conditions", "end_output_variables"}
 _NAME = re.compile(r"[A-Za-z_][\w-]{0,80}", re.ASCII)  # what becomes part of a file's name
 _SPEC = re.compile(r"(\.\d{1,2})?[efg]?", re.ASCII)
 
@@ -60,7 +58,7 @@ def physics_document(problem: Problem) -> dict[str, Any]:
         "title": problem.title,
         "digest": problem.form.digest,
         "scales": record_tree(problem.scales),
-        "free": [{_WRITTEN.get(name, name): value for name, value in record_tree(f).items()} for f in problem.free],
+        "free": record_tree(problem.free),
         "objective_unit": problem.objective_unit,
         "objective_scale": problem.objective_scale,
         "result_variables": record_tree(problem.result_variables),
@@ -74,7 +72,7 @@ def physics_document(problem: Problem) -> dict[str, Any]:
 
 def _function_key(key: Any) -> str:
     """Return the key of a function as a text: ``start``, ``0.dynamics``, ``links.0``."""
-    return key if isinstance(key, str) else ".".join(str(k) for k in written_key(key))
+    return key if isinstance(key, str) else ".".join(map(str, key))
 
 
 def _phase_physics_document(phase: Phase) -> dict[str, Any]:
@@ -102,7 +100,7 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Parameter]) ->
     PeriluneError
         If anything in it is not what `physics_document` writes, or its digest is another.
     """
-    free = _read_free(document)
+    free = _read_rows(document, "free", FreeParameter)
     entries = part(document, "phases", list)
     if not 0 < len(entries) <= MOST_ENTRIES:
         refuse_entry("phases", str(len(entries)), "at least one")
@@ -132,14 +130,6 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Parameter]) ->
     if problem.form.digest != (said := short_text(document, "digest")):
         refuse_entry("problem.digest", said[:16], f"{problem.form.digest[:16]}, of the stored expressions")
     return problem
-
-
-def _read_free(document: Mapping[str, Any]) -> tuple[FreeParameter, ...]:
-    """Read the free parameters by the names that their fields have in files."""
-    entries = part(document, "free", list)
-    own = {_WRITTEN[name]: name for name in ("guess",)}
-    renamed = [{own.get(k, k): v for k, v in e.items()} if isinstance(e, dict) else e for e in entries]
-    return _read_rows({"free": renamed}, "free", FreeParameter)
 
 
 def _scale(document: Mapping[str, Any]) -> float | None:

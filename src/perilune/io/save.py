@@ -46,7 +46,7 @@ INTERPOLATION = {
 
 _FIELDS = {
     "scenario": "the scenario of this solution, verbatim, and the SHA-256 of its UTF-8 text; or null",
-    "made": "the model of the problem and the values of its records, if there is no scenario; or null",
+    "model": "the model of the problem and the values of its records, if there is no scenario; or null",
     "problem": "the problem without its given values; defaults (no bound, no title) are left out",
     "problem.functions": "physics as operations in order: [record, component], [const, number] or [operation, "
     "operand, ...], an operand being the index of an earlier entry, as the outputs are",
@@ -67,7 +67,7 @@ _FIELDS = {
     "verification": "checks made; passed if value <= limit. Only a claim: `perilune verify` repeats them",
     "verification.tolerance": "stated tolerance of the proof, {} for none; `perilune verify` uses it too. A limit"
     " that it raised is accompanied by `own_limit` and `raised_by`",
-    "verification.within": "the part of it that the level needed, in words; empty if none",
+    "verification.tolerance_used": "the part of it that the level needed, in words; empty if none",
     "unknowns": "the unknowns of the method, from which it can restart",
     "null": "stands for an unknown or infinite number",
 }  # fmt: skip
@@ -81,10 +81,12 @@ def results_document(solution: Solution) -> dict[str, dict[str, Any]]:
 def solution_document(solution: Solution) -> dict[str, Any]:
     """Make the document that ``perilune solve --json`` prints; a number that is not finite becomes None.
 
-    For a loaded solution ``claimed`` names the unverified claims of its file.
+    For a loaded solution ``unverified_claims`` names the unverified claims of its file.
     """
     statistics = solution.statistics
-    claims = {"claimed": ["method", "statistics", *_structure_document(solution)]} if statistics.from_file else {}
+    claims = (
+        {"unverified_claims": ["method", "statistics", *_structure_document(solution)]} if statistics.from_file else {}
+    )
     inputs = {"inputs": list(solution.problem.inputs_read)} if solution.problem.inputs_read else {}
     document = {
         "problem": solution.problem.name,
@@ -92,14 +94,14 @@ def solution_document(solution: Solution) -> dict[str, Any]:
         **inputs,
         "method": solution.method,
         "outcome": solution.outcome.name,
-        "within": solution.verification.within,
+        "tolerance_used": solution.verification.tolerance_used,
         "results": results_document(solution),
         "extremals": extremals_document(solution),
         "warnings": list(solution.warnings),
         "verification": _verification_document(solution.verification),
         "statistics": {
-            "rung": statistics.rung,
-            "tried": list(statistics.tried),
+            "initialization": statistics.initialization,
+            "attempts": list(statistics.attempts),
             "iterations": int(statistics.iterations),
             "arcs": int(statistics.arcs),
             "residual": float(statistics.residual),
@@ -118,8 +120,8 @@ def _verification_document(verification: Verification) -> dict[str, Any]:
     stated = verification.tolerance.stated
     return {
         "level": verification.level,
-        "within": verification.within,
-        "text": verification.text,
+        "tolerance_used": verification.tolerance_used,
+        "source": verification.source,
         "notes": list(verification.notes),
         "tolerance": _values_with_units(stated, {name: unit_of(name) for name in stated}),
         "checks": [_check_document(check) for check in verification.checks],
@@ -255,7 +257,11 @@ def answer_document(solution: Solution) -> dict[str, Any]:
     problem, short = solution.problem, solution_document(solution)
     return {
         "method": solution.method,
-        "outcome": {"name": solution.outcome.name, "within": short["within"], "advice": solution.outcome.value},
+        "outcome": {
+            "name": solution.outcome.name,
+            "tolerance_used": short["tolerance_used"],
+            "advice": solution.outcome.value,
+        },
         "objective": {"value": float(solution.objective), "unit": problem.objective_unit},
         "free": _values_with_units(solution.free, {f.name: f.unit for f in problem.free}),
         "results": short["results"],

@@ -74,7 +74,7 @@ def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch 
     watch
         Receives a line.
     """
-    if error.flight is None or not error.partial.get("missed") or not error.partial.get("settled", True):
+    if error.flight is None or not error.partial.get("violations") or not error.partial.get("converged", True):
         return error  # what is no least miss says nothing of a limit
     watch = watch or ignore_events
     watch("looking for the limit that prevents a flight")
@@ -167,7 +167,7 @@ def _name_limits(problem: Problem, error: NotConvergedError, found: list[Relaxed
     beyond = "" if first.possible else ", which is out of its range"
     several = "one of these: " if len(ways) > 1 else ""
     given = [
-        {"limit": part.name, "by": one.amount, "unit": one.limit.bounded.unit}
+        {"limit": part.name, "amount": one.amount, "unit": one.limit.bounded.unit}
         for part, one in zip(parts, found, strict=True)
     ]
     return NotConvergedError(

@@ -27,7 +27,7 @@ from perilune.methods.indirect.violations import ConstraintViolation
 from perilune.problem import Nature, Problem, Solution
 from perilune.structures import detect_structures
 
-NEWTON = "Newton"  # ends the rung of an answer that was made exact in the user's own phases
+NEWTON = "Newton"  # ends the `initialization` of an answer that was made exact in the user's own phases
 APART = 30.0  # times its mesh error J may be better than the exact one's: so far two good answers were seen apart
 
 
@@ -44,8 +44,8 @@ def solve_and_polish(
     Returns
     -------
     Solution
-        Of the indirect method, its rung ending with what made it exact; the direct answer where nothing did.
-        `statistics.tried` says what was done.
+        Of the indirect method, its `initialization` ending with what refined it; the direct answer where nothing did.
+        `statistics.attempts` says what was done.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def solve_and_polish(
     except NotConvergedError as error:
         exact = None if direct is None else finish.of(error.flight)
         if exact is None:
-            error.partial["tried"] = (*error.partial["tried"], *finish.tried)
+            error.partial["attempts"] = (*error.partial["attempts"], *finish.tried)
             raise
         return exact
     assert direct is not None
@@ -112,8 +112,8 @@ class _DirectPolish:
 
     def unpolished(self, direct: Solution) -> Solution:
         """Return the direct answer, which says why it is not exact."""
-        tried = (*direct.statistics.tried, *self.tried, "polish: the direct answer is kept unchanged")
-        return replace(direct, statistics=replace(direct.statistics, tried=tried))
+        tried = (*direct.statistics.attempts, *self.tried, "polish: the direct answer is kept unchanged")
+        return replace(direct, statistics=replace(direct.statistics, attempts=tried))
 
     def _found(self, way: Callable[[Solution], Solution | None], direct: Solution) -> Solution | None:
         try:
@@ -165,8 +165,8 @@ class _DirectPolish:
         mesh = direct.statistics
         statistics = replace(
             found.statistics,
-            rung=f"{mesh.rung}, then {name}",
-            tried=(*mesh.tried, *self.tried, gain),
+            initialization=f"{mesh.initialization}, then {name}",
+            attempts=(*mesh.attempts, *self.tried, gain),
             iterations=mesh.iterations + found.statistics.iterations,
             wall_time=time.perf_counter() - self.began,
             history=(*mesh.history, *found.statistics.history),

@@ -74,6 +74,7 @@ if TYPE_CHECKING:
         select_findings,
     )
     from perilune.problem.problem import Problem
+    from perilune.problem.renamed_keys import with_new_keys
     from perilune.problem.results.arc_sequence import NamedArc
     from perilune.problem.results.extremal import Extremal, Nature
     from perilune.problem.results.hermite_nodes import hermite_nodes
@@ -101,7 +102,7 @@ if TYPE_CHECKING:
         total_derivative,
     )
     from perilune.problem.tracing.tape import ARITY, ROLES, Expression, NotAFormula, Recorder, Tape
-    from perilune.problem.tracing.traced_problem import OWN_TEXT, PHASE_FUNCTIONS, TracedProblem, roles_of, written_key
+    from perilune.problem.tracing.traced_problem import OWN_TEXT, PHASE_FUNCTIONS, TracedProblem, roles_of
     from perilune.problem.variables import FreeParameter, Parameter, Variable
     from perilune.problem.verification import LEVEL_NAMES, LEVELS, THEOREM, Check, Verification, format_failed_checks
 

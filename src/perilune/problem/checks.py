@@ -49,14 +49,14 @@ def check_parts(problem: Any) -> None:
     require_named(problem.results, Quantities, "the results of a problem")
     for name, kind, advice in (
         ("given", Mapping, 'given={"mass": pl.Parameter(value=300.0, unit="kg")}'),
-        ("declared", Sequence, ""),
+        ("records", Sequence, ""),
         ("views", Views, "pl.Views(...), or omit it"),
         ("scales", Scales, "pl.Scales(length=1e3, time=60.0, mass=300.0), or omit it"),
     ):
         require_type(getattr(problem, name), kind, f"a valid {name} of a problem", advice)
     for name in HOOKS:
         require_callable(getattr(problem, name), f"a valid {name} of a problem")
-    for record in problem.declared:
+    for record in problem.records:
         if not hasattr(record, "__section__"):
             raise wrong_type_error(record, "a record of a class below @record(...)", "a record of a problem")
     for name, value in problem.given.items():
@@ -121,7 +121,7 @@ def check_given(problem: Any) -> None:
             raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
         if name in problem.duration_names and not g.value > 0:
             _refuse_no_length(name, g.value)
-    for record in problem.declared:
+    for record in problem.records:
         check_values(record, vars(problem.parameters({})))
 
 
@@ -318,4 +318,4 @@ def _importable_or_none(function: Any) -> Any:
 def importable_hooks(problem: Any) -> dict[str, Any]:
     """Return the hooks and records of a problem that another process finds by name; None and no records for others."""
     hooks = {name: _importable_or_none(getattr(problem, name)) for name in HOOKS}
-    return {**hooks, "declared": _importable_or_none(problem.declared) or ()}
+    return {**hooks, "records": _importable_or_none(problem.records) or ()}

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from perilune.core import (
     NUMERIC,
     InfeasibleError,
     PeriluneError,
+    RenamedAttribute,
     check_call,
     format_quantity,
     require_type,
@@ -56,6 +57,7 @@ class Finding:
     advice: str = ""
     lasting: bool = False
     contradiction: bool = False
+    told: ClassVar[RenamedAttribute] = RenamedAttribute("formatted")
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "meaning", "advice"):
@@ -73,7 +75,7 @@ class Finding:
         return self.value >= self.limit if self.at_least else self.value <= self.limit
 
     @property
-    def told(self) -> tuple[str, str]:
+    def formatted(self) -> tuple[str, str]:
         """The value and the limit of one problem, formatted; one that is round-off relative to the other is zero."""
         roundoff = _ROUNDOFF * max((abs(x) for x in (self.value, self.limit) if math.isfinite(x)), default=0.0)
         value, limit = (format_quantity(0.0 if abs(x) < roundoff else x, self.unit) for x in (self.value, self.limit))
@@ -239,4 +241,4 @@ def refuse_impossible(found: Sequence[Finding]) -> None:
     for f in found:
         if f.binding and not f.passed:
             kind = PeriluneError if f.contradiction else InfeasibleError
-            raise kind(f.meaning, got=f"{f.name} {f.told[0]}", expected=f.told[1], advice=f.advice)
+            raise kind(f.meaning, got=f"{f.name} {f.formatted[0]}", expected=f.formatted[1], advice=f.advice)

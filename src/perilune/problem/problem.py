@@ -69,7 +69,12 @@ from perilune.problem.verification import Check
 _TRACED = ("form", "structure")  # properties found once for a problem, and possibly known
 _SIZED, _BOUNDED = (Variable, FreeParameter, *get_args(Control)), (Variable, *get_args(Control))
 
-_OLD_NAMES = {"ranges": "parameter_bounds", "bookkeeping": "consistency_checks", "rough_flight": "initial_guess"}
+_OLD_NAMES = {
+    "declared": "records",
+    "ranges": "parameter_bounds",
+    "bookkeeping": "consistency_checks",
+    "rough_flight": "initial_guess",
+}
 
 
 @renamed_keywords(**_OLD_NAMES)
@@ -113,7 +118,7 @@ class Problem(ShownProblem, SimulatedProblem):
         parameters whose range depends on what is given; it replaces what `free` says. The guess may be a function
         without arguments, where that takes long: an atlas asks for bounds only, at thousands of values. It raises
         `PeriluneError` for given values that make no sense together.
-    declared
+    records
         Records (`perilune.core.fields`) that the problem was made of, whose numbers are parameters; each checks new
         values too, whoever gave them. With them `perilune.save` writes what a model is made of again.
     preflight
@@ -150,7 +155,7 @@ class Problem(ShownProblem, SimulatedProblem):
     results: Quantities | None = None
     maximised: str = ""
     minimised: str = ""
-    declared: tuple[Any, ...] = ()
+    records: tuple[Any, ...] = ()
     parameter_bounds: Physics | None = None
     preflight: Callable[[Any, Any], Sequence[Any]] | None = None
     consistency_checks: Callable[[Any], Sequence[Check]] | None = None
@@ -161,6 +166,8 @@ class Problem(ShownProblem, SimulatedProblem):
     title: str = ""
     ranges: ClassVar[RenamedAttribute] = RenamedAttribute("parameter_bounds")
     bookkeeping: ClassVar[RenamedAttribute] = RenamedAttribute("consistency_checks")
+    text: ClassVar[RenamedAttribute] = RenamedAttribute("source")
+    declared: ClassVar[RenamedAttribute] = RenamedAttribute("records")
     rough_flight: ClassVar[RenamedAttribute] = RenamedAttribute("initial_guess")
 
     def __post_init__(self) -> None:
@@ -223,8 +230,8 @@ class Problem(ShownProblem, SimulatedProblem):
         ]
 
     @property
-    def text(self) -> str:
-        """Name the text of the physics in its functions: the user's own, or expressions and where they came from."""
+    def source(self) -> str:
+        """Name the origin of its functions: the user's own, or expressions and where they came from."""
         return f"expressions from {self.start.origin}" if isinstance(self.start, Expression) else OWN_TEXT
 
     @cached_property

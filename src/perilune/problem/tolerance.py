@@ -7,9 +7,17 @@ less; the proof then says so wherever it says what it proved.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, ClassVar
 
-from perilune.core import dimension_text, parse_unit, quantity, record, record_keys, record_values
+from perilune.core import (
+    RenamedAttribute,
+    dimension_text,
+    parse_unit,
+    quantity,
+    record,
+    record_keys,
+    record_values,
+)
 
 _NO_PROOF = "is too large for a proof"
 LARGEST = 1e-3  # of the range of a quantity along the flight
@@ -45,12 +53,14 @@ class Tolerance:
         about="relative tolerance of the conditions of optimality",
     )  # fmt: skip
 
+    told: ClassVar[RenamedAttribute] = RenamedAttribute("describe")
+
     @property
     def stated(self) -> dict[str, float]:
         """Return the stated values, in SI, by name."""
         return {name: float(value) for name, value in record_values(self).items() if value is not None}
 
-    def told(self, names: Iterable[str] = ()) -> str:
+    def describe(self, names: Iterable[str] = ()) -> str:
         """Format what is stated of these (of all, if none is named): ``position 1 mm, mass 1 g``."""
         shown = {name: value for name, value in self.stated.items() if name in (tuple(names) or self.stated)}
         return ", ".join(f"{name} {format_tolerance(name, value)}" for name, value in shown.items())

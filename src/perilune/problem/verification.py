@@ -8,9 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
-from perilune.core import check_call, method_function
+from perilune.core import (
+    RenamedAttribute,
+    check_call,
+    method_function,
+    renamed_keywords,
+)
 from perilune.problem.tolerance import Tolerance
 
 LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked", "theorem")
@@ -48,6 +53,7 @@ class Check:
     exact: bool = False
     own_limit: float | None = None
     raised_by: str = ""
+    limit_told: ClassVar[RenamedAttribute] = RenamedAttribute("format_limit")
 
     @property
     def passed(self) -> bool:
@@ -59,7 +65,7 @@ class Check:
         """Return True if it passed only with the stated tolerance."""
         return self.own_limit is not None and self.passed and not self.value <= self.own_limit
 
-    def limit_told(self, digits: int = 3) -> str:
+    def format_limit(self, digits: int = 3) -> str:
         """Format the limit; one that was raised with its own."""
         own = "" if self.own_limit is None else f" stated, its own {self.own_limit:.{digits}g}"
         return f"limit {self.limit:.{digits}g}{own}"
@@ -70,6 +76,7 @@ def format_failed_checks(passed: Sequence[bool]) -> str:
     return f", NOT_PROVED: {passed.count(False)} of {len(passed)} checks failed" if False in passed else ""
 
 
+@renamed_keywords(text="source")
 @check_call
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Verification:
@@ -79,9 +86,9 @@ class Verification:
     ----------
     checks
         In the order of their levels.
-    text
-        The text of the integrated physics: the problem's own Python functions, or expressions and where they came
-        from (`Problem.text`).
+    source
+        Where the integrated physics comes from: the problem's own Python functions, or expressions and where they
+        came from (`Problem.source`).
     notes
         What was not checked, or could not be, in sentences.
     tolerance
@@ -93,11 +100,14 @@ class Verification:
     """
 
     checks: tuple[Check, ...] = ()
-    text: str = ""
+    source: str = ""
     notes: tuple[str, ...] = ()
     tolerance: Tolerance = field(default_factory=Tolerance)
     certificate: Mapping[str, Any] | None = field(default=None, compare=False)
     claimed: str = field(default="", compare=False)
+    text: ClassVar[RenamedAttribute] = RenamedAttribute("source")
+    told: ClassVar[RenamedAttribute] = RenamedAttribute("summary")
+    within: ClassVar[RenamedAttribute] = RenamedAttribute("tolerance_used")
 
     @property
     def level(self) -> int:
@@ -117,7 +127,7 @@ class Verification:
         return self._claim or f"level {self.level}: {LEVEL_NAMES[self.level]}{self._qualified}"
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """The title with what failed, as it stands in exports."""
         return self.title + format_failed_checks([check.passed for check in self.checks])
 
@@ -127,11 +137,11 @@ class Verification:
         return self._claim or f"level {self.level} ({LEVEL_NAMES[self.level]}){self._qualified}"
 
     @property
-    def within(self) -> str:
+    def tolerance_used(self) -> str:
         """``within the stated tolerance (position 1 mm)``, if the level would not be reached without; else empty."""
         level = self.level
         needed = {c.raised_by for c in self.checks if c.lenient and c.level <= level}
-        return f"within the stated tolerance ({self.tolerance.told(needed)})" if needed else ""
+        return f"within the stated tolerance ({self.tolerance.describe(needed)})" if needed else ""
 
     @property
     def _claim(self) -> str:
@@ -139,7 +149,7 @@ class Verification:
 
     @property
     def _qualified(self) -> str:
-        return f", {within}" if (within := self.within) else ""
+        return f", {within}" if (within := self.tolerance_used) else ""
 
     @property
     def passed(self) -> bool:
@@ -160,8 +170,8 @@ class Verification:
         return method_function("verification_page")(self)
 
     def __str__(self) -> str:
-        lines = [self.headline + (f", integrated: {self.text}" if self.text else "")]
+        lines = [self.headline + (f", integrated: {self.source}" if self.source else "")]
         for c in self.checks:
             mark = "ok  " if c.passed else "FAIL"
-            lines.append(f"  {mark} {c.level} {c.name}: {c.value:.3g} ({c.limit_told()}) {c.unit}")
+            lines.append(f"  {mark} {c.level} {c.name}: {c.value:.3g} ({c.format_limit()}) {c.unit}")
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])

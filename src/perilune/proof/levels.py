@@ -80,7 +80,7 @@ def examine(
     elif level >= 3 and _has_no_answer(checks) and not any(check.name.startswith(SHIFTED) for check in checks):
         notes = (_UNTOLD, *notes)
     notes = (*_note_unused_tolerance(checks, tolerance), *notes)
-    return Verification(checks=tuple(checks), text=solution.problem.text, notes=notes, tolerance=tolerance)
+    return Verification(checks=tuple(checks), source=solution.problem.source, notes=notes, tolerance=tolerance)
 
 
 def _refuse_unmatched_trajectories(solution: Solution) -> None:
@@ -198,7 +198,7 @@ def _note_unused_tolerance(checks: Sequence[Check], tolerance: Tolerance) -> tup
     """Return a note if a tolerance was stated and every check would have passed without it."""
     if not tolerance.stated or not all(check.passed and not check.lenient for check in checks):
         return ()
-    return (f"no part of the stated tolerance ({tolerance.told()}) was needed",)
+    return (f"no part of the stated tolerance ({tolerance.describe()}) was needed",)
 
 
 def _notes_on_loaded_problem(problem: Problem) -> tuple[str, ...]:
@@ -211,6 +211,6 @@ def _notes_on_loaded_problem(problem: Problem) -> tuple[str, ...]:
         )
         if stated is None
     ]
-    if problem.text == OWN_TEXT or not missing:
+    if problem.source == OWN_TEXT or not missing:
         return ()
     return (f"not checked, because the problem in the file does not state it: {'; '.join(missing)}",)

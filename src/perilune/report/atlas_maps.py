@@ -216,7 +216,7 @@ def _draw_sheet_map(shown: Slice) -> Figure:
         *_sheet_labels(shown),
         *zip(shown.reasons, (_NOTHING * len(shown.reasons))[: len(shown.reasons)], strict=True),
     ]
-    number = np.where(shown.answers.good, shown.answers.sheet, count + shown.why)
+    number = np.where(shown.answers.good, shown.answers.sheet, count + shown.reason_index)
     if len(along) == 2:
         colours = ListedColormap([colour for _, colour in kinds])
         _filled(shown, panel, along, number.astype(float), cmap=colours, vmin=-0.5, vmax=len(kinds) - 0.5)

@@ -37,7 +37,7 @@ FAMILY_NAME = "family"
 def family_document(family: Family) -> dict[str, Any]:
     """Make the tree: parameter, unit, whether Ctrl-C cut it short; of each point value, outcome, results, message.
 
-    `within` is the part of a stated tolerance that its proof needed.
+    `tolerance_used` is the part of a stated tolerance that its proof needed.
     A family along several parameters has ``parameters`` and ``values`` in their place, in the same order.
     """
     shown = [display_unit(unit) for unit in family.units]
@@ -53,7 +53,7 @@ def family_document(family: Family) -> dict[str, Any]:
                 **({"value": values[0]} if len(values) == 1 else {"values": values}),
                 "outcome": point.outcome.name,
                 "verification_level": solution.verification.level if solution else 0,
-                "within": point.within,
+                "tolerance_used": point.tolerance_used,
                 "results": results_document(solution) if solution else {},
                 "message": point.message,
             }
@@ -75,7 +75,7 @@ def family_csv(family: Family) -> str:
     for point in document["points"]:
         found = [point["results"].get(name, {}).get("value") for name in names]
         cells = ["" if v is None else repr(v) for v in (*point.get("values", [point.get("value")]), *found)]
-        said = "; ".join(text for text in (point["within"], str(point["message"] or "")) if text)
+        said = "; ".join(text for text in (point["tolerance_used"], str(point["message"] or "")) if text)
         writer.writerow([*cells, point["outcome"], point["verification_level"], " ".join(said.split())])
     return text.getvalue()
 

@@ -89,7 +89,7 @@ def write_doubts(figure: Figure, flights: Mapping[str, Solution]) -> None:
         Solutions that it shows, by label.
     """
     doubts = {
-        called: flight.verification.told for called, flight in flights.items() if flight.outcome != Outcome.PROVED
+        called: flight.verification.summary for called, flight in flights.items() if flight.outcome != Outcome.PROVED
     }
     said = [f"{called}: {told}" if len(flights) > 1 else told for called, told in doubts.items()]
     if said:
@@ -99,8 +99,8 @@ def write_doubts(figure: Figure, flights: Mapping[str, Solution]) -> None:
 def label(solution: Solution) -> str:
     """Return the label of a flight in a legend."""
     views, p = solution.problem.views, solution.parameters
-    if views.beside and all(getattr(p, name) == value for name, value in views.beside.given):
-        return views.beside.label
+    if views.comparison and all(getattr(p, name) == value for name, value in views.comparison.given):
+        return views.comparison.label
     values = {name: result.value for name, result in solution.results.items()}
     text = one_line(views.label.format(**values)) or solution.problem.heading
     return text.replace("$", r"\$")  # between two of them Matplotlib would read a formula

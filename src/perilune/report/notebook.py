@@ -52,7 +52,7 @@ def verification_page(verification: Verification) -> str:
     """Return HTML of each check with its value and limit, failed ones first."""
     checks = sorted(verification.checks, key=lambda check: check.passed)
     rows = [
-        ("ok" if c.passed else "FAILED", c.name, str(c.level), format_quantity(c.value, c.unit), c.limit_told())
+        ("ok" if c.passed else "FAILED", c.name, str(c.level), format_quantity(c.value, c.unit), c.format_limit())
         for c in checks
     ]
     return (

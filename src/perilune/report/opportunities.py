@@ -23,7 +23,7 @@ def _opportunities_document(found: Sequence[Opportunity]) -> dict[str, Any]:
         for one in found
     ]
     for row in rows:
-        row |= {name: row[name] if math.isfinite(row[name]) else None for name in ("turn", "velocity_change")}
+        row |= {name: row[name] if math.isfinite(row[name]) else None for name in ("plane_change", "velocity_change")}
     return {"opportunities": rows}
 
 
@@ -47,16 +47,18 @@ def _opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
         lines.append(f"{len(found) - len(shown)} more are out of reach: --all")
     if best is not None:
         changes = " ".join(f'--set "{key}={value}"' for key, value in best.settings.items())
-        lines += [f"all propellant gives {best.available:.1f} m/s; of the first that is {best.verdict}:"]
+        lines += [
+            f"all propellant gives {best.available_velocity_change:.1f} m/s; of the first that is {best.verdict}:"
+        ]
         lines += [f"  perilune solve FILE {changes}"]
     return "\n".join(lines)
 
 
 def _opportunity_row(one: Opportunity) -> str:
     when = f"{one.utc:%Y-%m-%d %H:%M:%S}Z" if one.utc is not None else f"{one.ignition / 3600:.3f} h"
-    side = "left" if one.away > 0 else "right"
-    off = f"{math.degrees(abs(one.away)):.2f} deg {one.distance / 1e3:.0f} km {side}"
-    turn = f"{math.degrees(one.turn):.2f} deg" if math.isfinite(one.turn) else "-"
+    side = "left" if one.out_of_plane_angle > 0 else "right"
+    off = f"{math.degrees(abs(one.out_of_plane_angle)):.2f} deg {one.distance / 1e3:.0f} km {side}"
+    turn = f"{math.degrees(one.plane_change):.2f} deg" if math.isfinite(one.plane_change) else "-"
     change = f"{one.velocity_change:.0f} m/s" if math.isfinite(one.velocity_change) else "-"
     after = f"{one.landing / 3600:.3f} h"
     return f"{when:>21} {after:>10}  {one.going:10} {off:>22} {turn:>9} {change:>11}  {one.verdict}"

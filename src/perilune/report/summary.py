@@ -56,13 +56,13 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         lines += ["", *(f"read: {text}" for text in solution.problem.inputs_read)]
     verification = solution.verification
     lines += ["", f"verification: {verification.headline}"]
-    if solution.statistics.from_file and verification.text:
-        lines.append(f"  flown: {verification.text}")
+    if solution.statistics.from_file and verification.source:
+        lines.append(f"  flown: {verification.source}")
     if not every_check:
         lines += _check_counts(verification)
     for c in verification.checks if every_check else verification.failed:
         mark, unit = "ok  " if c.passed else "FAIL", "" if c.unit == "1" else f" {c.unit}"
-        lines.append(f"  {mark} {c.level} {c.name}: {c.value:.2g}{unit} ({c.limit_told(2)})")
+        lines.append(f"  {mark} {c.level} {c.name}: {c.value:.2g}{unit} ({c.format_limit(2)})")
         if not c.passed:
             lines.append(f"         {c.meaning}")
     lines += ["", *(f"note: {note}" for note in verification.notes)] if verification.notes else []
@@ -223,7 +223,7 @@ def _proof_markdown(solution: Solution) -> str:
             c.level,
             c.name,
             f"{c.value:.3g}",
-            c.limit_told().removeprefix("limit "),
+            c.format_limit().removeprefix("limit "),
             c.unit,
             "passed" if c.passed else "**FAILED**",
             c.meaning,
@@ -237,10 +237,10 @@ def _proof_markdown(solution: Solution) -> str:
 def _method_lines(solution: Solution) -> str:
     s = solution.statistics
     text = f"method {solution.method}"
-    if s.rung:
-        text += f"; start: {s.rung}"
+    if s.initialization:
+        text += f"; start: {s.initialization}"
     text += f"; {s.iterations} iteration{'' if s.iterations == 1 else 's'}"
     text += f"; {s.wall_time:.2f} s" if math.isfinite(s.wall_time) else ""
     # A list in Markdown as well; what a mesh missed, by condition, is in solution.json.
-    steps = [f"- {step.partition(' (')[0]}" for step in s.tried]
+    steps = [f"- {step.partition(' (')[0]}" for step in s.attempts]
     return text + ("\n\n" + "\n".join(steps) if steps else "")

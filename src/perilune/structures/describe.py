@@ -76,7 +76,7 @@ def _held_at_once(solution: Solution, k: int) -> Iterator[NamedArc]:
         if depends_on_control(known[variable.name][1]):
             places = (room <= ON * max(float(np.ptp(room)), ON * solution.problem.size_of(variable))).astype(int)
             runs = _merge_pieces(phase, edges, places, {0: "", 1: f"along {_variable_in_words(variable)}"})
-            yield from (arc for arc in runs if arc.words)
+            yield from (arc for arc in runs if arc.description)
 
 
 def _merge_pieces(phase: Phase, edges: Vector, places: Vector, words: dict[int, str]) -> Iterator[NamedArc]:
@@ -84,7 +84,7 @@ def _merge_pieces(phase: Phase, edges: Vector, places: Vector, words: dict[int, 
     for place, run in groupby(range(len(places)), key=lambda i: int(places[i])):
         pieces = list(run)
         begin, end = float(edges[pieces[0]]), float(edges[pieces[-1] + 1])
-        yield NamedArc(phase=phase.name, begin=begin, end=end, words=words[place])
+        yield NamedArc(phase=phase.name, begin=begin, end=end, description=words[place])
 
 
 def _boundary_arcs_in_words(solution: Solution, k: int, structure: Structure) -> Iterator[NamedArc]:
@@ -98,10 +98,10 @@ def _boundary_arcs_in_words(solution: Solution, k: int, structure: Structure) ->
             pieces = list(run)
             if along:
                 begin = ends[pieces[0] - 1] if pieces[0] else 0.0
-                yield NamedArc(phase=phase.name, begin=begin, end=ends[pieces[-1]], words=f"along {called[name]}")
+                yield NamedArc(phase=phase.name, begin=begin, end=ends[pieces[-1]], description=f"along {called[name]}")
         for arc, end in zip(arcs, ends, strict=True):
             if name in arc.touches:
-                yield NamedArc(phase=phase.name, begin=end, end=end, words=f"contact point of {called[name]}")
+                yield NamedArc(phase=phase.name, begin=end, end=end, description=f"contact point of {called[name]}")
 
 
 def _margin_in_words(name: str, variable: Variable) -> str:

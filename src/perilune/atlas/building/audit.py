@@ -75,7 +75,7 @@ class Sample:
         Answers drawn at random.
     thin, thin_nodes
         Answers drawn among nodes with a thin margin, and the number of these nodes.
-    kept
+    merged
         Proofs of atlases that were merged to this one: drawn of parts of it, they say nothing of the whole.
     refused
         Number of places, drawn in addition to those of `drawn`, at which a query has no answer.
@@ -84,7 +84,7 @@ class Sample:
     drawn: tuple[Certificate, ...] = ()
     thin: tuple[Certificate, ...] = ()
     thin_nodes: int = 0
-    kept: tuple[Certificate, ...] = ()
+    merged: tuple[Certificate, ...] = ()
     refused: int = 0
 
     @property
@@ -100,7 +100,7 @@ class Sample:
     @property
     def unproved(self) -> tuple[Certificate, ...]:
         """Return the answers that are not proved."""
-        return tuple(one for one in (*self.drawn, *self.thin, *self.kept) if not one.proved)
+        return tuple(one for one in (*self.drawn, *self.thin, *self.merged) if not one.proved)
 
     def describe(self, atlas: Atlas) -> list[str]:
         """Describe the sample in sentences."""
@@ -109,9 +109,9 @@ class Sample:
         if self.thin:
             good = sum(one.proved for one in self.thin)
             lines.append(f"{good} of {len(self.thin)} with a thin margin proved, of {self.thin_nodes} that there are")
-        if self.kept:
-            good = sum(one.proved for one in self.kept)
-            lines.append(f"{good} of {len(self.kept)} drawn from the merged atlases proved to level {LEVEL}")
+        if self.merged:
+            good = sum(one.proved for one in self.merged)
+            lines.append(f"{good} of {len(self.merged)} drawn from the merged atlases proved to level {LEVEL}")
         return [*lines, *(unproved_samples_text(atlas, one) for one in self.unproved)]
 
 
@@ -232,7 +232,7 @@ def drawn_thin(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[D
     rng
         Source of the order of the blocks.
     """
-    keys, seen = [key for key in sorted(atlas.said) if atlas.said[key].get("thin", 0)], set[tuple[float, ...]]()
+    keys, seen = [key for key in sorted(atlas.said) if atlas.said[key].get("thin_margin", 0)], set[tuple[float, ...]]()
     refused = Refused()
     for at in rng.permutation(len(keys)).tolist():
         chart, *place = keys[at]
@@ -320,17 +320,17 @@ def draw_sample(
     nodes = atlas.rows
     count = min(USUAL, 1 + nodes // _ONE_OF) if count is None else count
     waits = False
-    while atlas.said and count > sum(line["asked"] for line in sample_lines(atlas)):
+    while atlas.said and count > sum(line["requested"] for line in sample_lines(atlas)):
         with kept.claimed("sample") as ours:
-            missing = count - sum(line["asked"] for line in sample_lines(atlas))
+            missing = count - sum(line["requested"] for line in sample_lines(atlas))
             if ours and missing > 0:
                 rng = np.random.default_rng()  # another each time, so that what is looked at cannot be chosen
                 refused = Refused()
                 drawn = certify_solutions(drawn_at_random(atlas, missing, rng, refused), executor, watch)
                 thin = certify_solutions(drawn_thin(atlas, missing, rng), executor, watch)
-                said = {"survey": atlas.survey["digest"], "nodes": nodes, "asked": missing, "level": LEVEL}
+                said = {"survey": atlas.survey["digest"], "nodes": nodes, "requested": missing, "level": LEVEL}
                 said["refused"] = len(refused)
-                proofs = {"drawn": [vars(one) for one in drawn], "thin": [vars(one) for one in thin]}
+                proofs = {"drawn": [vars(one) for one in drawn], "thin_margin": [vars(one) for one in thin]}
                 kept.add({"kind": "sample", **said, **proofs})
             if ours:
                 kept.settled("sample")
@@ -349,12 +349,12 @@ def sample_lines(atlas: Atlas) -> list[dict[str, Any]]:
 def sample_of(atlas: Atlas) -> Sample:
     """Return the sample that was drawn of the atlas in its present state while it was built."""
     lines = sample_lines(atlas)
-    thin = {one.values: one for line in lines for one in map(_certificate_of_line, line["thin"])}
+    thin = {one.values: one for line in lines for one in map(_certificate_of_line, line["thin_margin"])}
     return Sample(
         drawn=tuple(_certificate_of_line(said) for line in lines for said in line["drawn"]),
         thin=tuple(thin.values()),
-        thin_nodes=sum(line.get("thin", 0) for line in atlas.said.values()),
-        kept=tuple(_certificate_of_line(said) for line in lines for said in line.get("kept", ())),
+        thin_nodes=sum(line.get("thin_margin", 0) for line in atlas.said.values()),
+        merged=tuple(_certificate_of_line(said) for line in lines for said in line.get("merged", ())),
         refused=sum(line.get("refused", 0) for line in lines),
     )
 

@@ -189,7 +189,7 @@ def _complete_round(
             line = {"kind": "brick", "name": name, "chart": group, "brick": brick, "survey": survey["digest"]}
             line["sheets"] = np.unique(arrays["nodes"]["sheet"]).tolist()
             line |= {"round": number} if number else {}
-            kept.add({**line, "thin": len(numbers_of_thin_nodes(arrays["nodes"], tasks[key].sheets)), **shards})
+            kept.add({**line, "thin_margin": len(numbers_of_thin_nodes(arrays["nodes"], tasks[key].sheets)), **shards})
             there[name] = len(arrays["nodes"])
             say(_progress_text(named, there, number) + _pace(work, there, time.monotonic() - began))
         known = len(there)

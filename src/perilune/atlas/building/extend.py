@@ -172,7 +172,7 @@ def _wider_survey_line(
             said, left = chart_entry(one), [*left, *np.nonzero(~reaches)[0].tolist()]  # with those behind their bounds
             some = replace(one, y=one.y[left], small=_renumber_sheets(one.small, left))
             charts.append(({**said, "sheets": [said["sheets"][n] for n in left]}, seed_rows(places, some)))
-    before = [*survey.get("before", []), survey["digest"]]
+    before = [*survey.get("predecessors", []), survey["digest"]]
     lines = [
         {**said, "seeds": kept.put(f"survey-{len(before)}-{number}.npy", rows)}
         for number, (said, rows) in enumerate(charts)
@@ -180,7 +180,7 @@ def _wider_survey_line(
     edges = [{"first": axis.first, "at": list(axis.edges)} for axis in wide.axes]
     notes = [*survey.get("notes", []), *surveyed.notes]
     return {
-        "kind": "survey", "digest": digest_of([before, edges, lines]), "header": kept.seal, "before": before,
+        "kind": "survey", "digest": digest_of([before, edges, lines]), "header": kept.seal, "predecessors": before,
         "edges": edges, "charts": lines, "notes": list(dict.fromkeys(notes))[:MOST_NOTES],
     }  # fmt: skip
 

@@ -82,7 +82,7 @@ class _Part:
             return tuple((np.array(place) + shift).tolist())
 
         charts = [
-            {**chart, "without": [list(move(place)) for place in chart.get("without", ())]}
+            {**chart, "excluded_bricks": [list(move(place)) for place in chart.get("excluded_bricks", ())]}
             for chart in self.survey["charts"]
         ]
         axes = (replace(axis, first=axis.first + int(by)) for axis, by in zip(self.region.axes, shift, strict=True))
@@ -252,10 +252,12 @@ def _merged_manifest_lines(
         for chart in part.survey["charts"]:
             rows = np.array(part.kept.shard(chart["seeds"], seed_type(d, chart["unknowns"])))
             rows["corner"] += by
-            without = sorted({*map(tuple, chart.get("without", ())), *leaves})
+            without = sorted({*map(tuple, chart.get("excluded_bricks", ())), *leaves})
             seeds = kept.put(f"survey-{len(lines)}.npy", rows)
             widths = widths_of(chart, part.region).tolist()
-            lines.append({**chart, "widths": widths, "without": [list(place) for place in without], "seeds": seeds})
+            lines.append(
+                {**chart, "widths": widths, "excluded_bricks": [list(place) for place in without], "seeds": seeds}
+            )
     edges = [{"first": axis.first, "at": list(axis.edges)} for axis in region.axes]
     notes = list(dict.fromkeys([*one.survey.get("notes", []), *other.survey.get("notes", [])]))[:MOST_NOTES]
     digest = digest_of([edges, lines])
@@ -269,14 +271,14 @@ def _merged_manifest_lines(
         yield _copied_brick_line(kept, part, line, key, digest, lines[key[0]]["unknowns"])
     if any(proofs.values()):  # nothing was asked of the whole
         nodes = _total_nodes(line for _, line in taken.values())
-        yield {"kind": "sample", "survey": digest, "nodes": nodes, "asked": 0, "level": LEVEL, **proofs}
+        yield {"kind": "sample", "survey": digest, "nodes": nodes, "requested": 0, "level": LEVEL, **proofs}
 
 
 def _valid_proofs(
     parts: Sequence[_Part], region: Region, taken: Mapping[Place, tuple[_Part, Mapping[str, Any]]]
 ) -> tuple[dict[str, list[Any]], int]:
     """Return the proofs at places where only their own atlas answers, and the number of other proofs."""
-    found, lost, of_place = {"drawn": [], "thin": [], "kept": []}, 0, dict[Place, list[_Part]]()
+    found, lost, of_place = {"drawn": [], "thin_margin": [], "merged": []}, 0, dict[Place, list[_Part]]()
     for (_, *place), (part, _) in taken.items():
         of_place.setdefault(tuple(place), []).append(part)
     for part in parts:
@@ -286,7 +288,7 @@ def _valid_proofs(
             place, here = part.region.brick_of(values), of_place.get(region.brick_of(values), [])
             whole = len(here) == own[place] and all(of is part for of in here)
             if whole and place == region.brick_of(values):  # on a common side of both it is a node of the other
-                found["thin" if kind == "thin" else "kept"].append(one)
+                found["thin_margin" if kind == "thin_margin" else "merged"].append(one)
             else:
                 lost += 1
     return found, lost

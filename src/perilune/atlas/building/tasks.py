@@ -202,7 +202,9 @@ def tasks_going_on(
         chart, known, (low, high) = charts[key[0]], shards(key), region.box(key[1:])
         assert known is not None
         widths = tuple(widths_of(chart, region).tolist())
-        scale = _tools(problem, region.names, widths, arc_sequence_from(chart), tuple(chart["times"]))[0].scale
+        scale = _tools(problem, region.names, widths, arc_sequence_from(chart), tuple(chart["reintegration_steps"]))[
+            0
+        ].scale
         return _already_answered(
             _cut_from_shards(*known, len(chart["sheets"])), (high - low) / scale / WHOLE, sheets[key[0]], nodes
         )
@@ -245,7 +247,7 @@ def _task(
         names=region.names,
         widths=widths_of(chart, region),
         course=arc_sequence_from(chart),
-        times=tuple(chart["times"]),
+        times=tuple(chart["reintegration_steps"]),
         sheets=sheets_of(chart),
         low=low,
         high=high,

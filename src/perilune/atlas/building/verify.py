@@ -6,6 +6,7 @@ See `perilune.atlas.building.audit` for what a sample shows of the rest.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,7 +23,13 @@ from perilune.atlas.query.query import Atlas
 from perilune.atlas.query.reader import are_possible_answers
 from perilune.atlas.store.schema import cell_type, node_type, seed_type
 from perilune.atlas.store.store import MANIFEST
-from perilune.core import PeriluneError, Watch, ignore_events, renamed_keywords
+from perilune.core import (
+    PeriluneError,
+    RenamedAttribute,
+    Watch,
+    ignore_events,
+    renamed_keywords,
+)
 
 _UNENDED = "bricks are missing: the build has not ended, or they were lost; perilune atlas extend DIR builds them"
 _TOLD = 10  # places that a query refuses, in words
@@ -42,7 +49,7 @@ class AtlasVerification:
         Number of answers that are proved to level 3, and of those that were drawn.
     unproved
         A sentence for each answer that is not proved, with the reason.
-    ended
+    complete
         True if all blocks that a builder completed are there; the verification says nothing of others.
     refused
         Number of places, drawn in addition, at which a query has no answer; the verification says nothing of them.
@@ -57,14 +64,15 @@ class AtlasVerification:
     proved: int
     drawn: int
     unproved: tuple[str, ...]
-    ended: bool
+    complete: bool
     refused: int
     refusals: tuple[str, ...]
+    ended: ClassVar[RenamedAttribute] = RenamedAttribute("complete")
 
     @property
     def passed(self) -> bool:
         """Return True if nothing is damaged or missing, and all answers that were drawn are proved."""
-        return not self.damaged and self.ended and self.proved == self.drawn
+        return not self.damaged and self.complete and self.proved == self.drawn
 
     @property
     def share(self) -> float:
@@ -77,7 +85,7 @@ class AtlasVerification:
     def __str__(self) -> str:
         lines = [
             f"{self.shards} shards, {len(self.damaged)} damaged; {self.nodes} nodes, {self.answers} of them answers",
-            *([] if self.ended else [_UNENDED]),
+            *([] if self.complete else [_UNENDED]),
             proved_text(self.proved, self.drawn),
             *refused_text(self.refused, self.drawn),
         ]
@@ -131,12 +139,12 @@ def verify_atlas(
             f"{broken} line{'s' * (broken > 1)} of {MANIFEST} cannot be read: remove them; perilune atlas build ..."
             f" --resume computes again what they described"
         )
-    ended = not atlas.unbuilt and atlas.store.ended(atlas.survey, d)
+    complete = not atlas.unbuilt and atlas.store.ended(atlas.survey, d)
     refused = Refused()
     found = certify_solutions(drawn_at_random(atlas, sample, np.random.default_rng(seed), refused), None, callback)
     unproved = tuple(unproved_samples_text(atlas, one) for one in found if not one.proved)
     return AtlasVerification(
         shards=len(shards), damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),
-        drawn=len(found), unproved=unproved, ended=ended, refused=len(refused),
+        drawn=len(found), unproved=unproved, complete=complete, refused=len(refused),
         refusals=tuple(f"at {atlas.region.format_point(at)}: {why}" for at, why in list(refused.items())[:_TOLD]),
     )  # fmt: skip

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
+from perilune.core import RenamedAttribute
 from perilune.problem import Solution
 
 
@@ -17,7 +18,7 @@ class Query:
     ----------
     sheet
         Label of the branch.
-    met
+    candidates
         Labels of all branches that reach the point, by what they give for J, best first.
     cell
         Size of the answer's cell along each axis, as a share of the region.
@@ -30,7 +31,7 @@ class Query:
     residual, path, minimum, drift
         What the independent re-integration shows (`perilune.charts.reintegrate.ReintegratedExtremals`),
         canonical.
-    inherited
+    sample_level
         Level that all answers at nodes reached which were drawn for a proof of this atlas; 0 where none was.
     slopes
         dJ/dp of each axis [SI].
@@ -39,7 +40,7 @@ class Query:
     """
 
     sheet: str
-    met: tuple[str, ...]
+    candidates: tuple[str, ...]
     cell: tuple[float, ...]
     guess_error: float
     steps: int
@@ -48,9 +49,11 @@ class Query:
     path: float
     minimum: float
     drift: float
-    inherited: int
+    sample_level: int
     slopes: Mapping[str, float]
     latency: float
+    met: ClassVar[RenamedAttribute] = RenamedAttribute("candidates")
+    inherited: ClassVar[RenamedAttribute] = RenamedAttribute("sample_level")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -316,14 +316,14 @@ class Atlas(AtlasReader):
 
         def solution() -> Solution:
             roots = [ExtremalRoot(root=charted.root(*own.row(0)), minimum=True) for own in beside]
-            statistics = Statistics(rung="atlas", iterations=steps, arcs=steps + 1)
+            statistics = Statistics(initialization="atlas", iterations=steps, arcs=steps + 1)
             return charted.solution(with_given_unchecked(problem, values), roots, statistics)
 
         slopes = polished.slopes[0] * problem.objective_size / charted.chart.scale
         shown = MarchedMargins(*polished.reintegrated.shown[0].tolist())
         query = Query(
             sheet=best.label,
-            met=tuple(offer.label for offer in offers),
+            candidates=tuple(offer.label for offer in offers),
             cell=tuple(best.cell.tolist()),
             guess_error=float(polished.relative_error[0]),
             steps=steps,
@@ -332,7 +332,7 @@ class Atlas(AtlasReader):
             path=shown.path,
             minimum=shown.minimum,
             drift=shown.drift,
-            inherited=self.inherited,
+            sample_level=self.sample_level,
             slopes=dict(zip(values, slopes.tolist(), strict=True)),
             latency=time.perf_counter() - began,
         )

@@ -208,7 +208,7 @@ class AtlasReader:
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
         self._boxes: dict[tuple[int, ...], tuple[Vector, Vector, Vector]] = {}
-        for name in ("allowed", "charted", "descents", "unbuilt", "inherited"):
+        for name in ("allowed", "charted", "descents", "unbuilt", "sample_level"):
             self.__dict__.pop(name, None)
 
     @property
@@ -217,10 +217,10 @@ class AtlasReader:
         return sum(line["nodes"]["rows"] for line in self.said.values())
 
     @cached_property
-    def inherited(self) -> int:
+    def sample_level(self) -> int:
         """Return the level that all drawn answers at nodes of the present atlas reached; 0 if none was drawn."""
         lines = self.store.samples(self.survey.get("digest"), self.rows, len(self.region.axes))
-        return min((one["level"] for line in lines for one in (*line["drawn"], *line["thin"])), default=0)
+        return min((one["level"] for line in lines for one in (*line["drawn"], *line["thin_margin"])), default=0)
 
     @cached_property
     def charted(self) -> list[OpenChart]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from perilune.atlas.store.cells import WHOLE
 from perilune.core import (
     Matrix,
     PeriluneError,
+    RenamedAttribute,
     Vector,
     check_call,
     format_value_range,
@@ -56,7 +58,7 @@ class Slice:
         Answers at all points, the last axis changing fastest.
     sheets
         Labels of all sheets, as `answers.sheet` counts them.
-    why
+    reason_index
         Number of the reason of each point without an answer, -1 for others, (points,).
     reasons
         Texts of the reasons.
@@ -73,10 +75,11 @@ class Slice:
     values: tuple[Vector, ...]
     answers: Answers
     sheets: tuple[str, ...]
-    why: NDArray[np.int64]
+    reason_index: NDArray[np.int64]
     reasons: tuple[str, ...]
     size: Matrix
     nodes: Matrix
+    why: ClassVar[RenamedAttribute] = RenamedAttribute("reason_index")
 
     def __repr__(self) -> str:
         along = ", ".join(axis.extent for axis in self.axes)
@@ -96,7 +99,7 @@ class Slice:
         for number, label in enumerate(self.sheets):  # two of them may be called alike
             found[label] += int((self.answers.sheet == number).sum())
         for number, text in enumerate(self.reasons):
-            found[text] += int((self.why == number).sum())
+            found[text] += int((self.reason_index == number).sum())
         return {text: count for text, count in found.items() if count}
 
 
@@ -148,7 +151,7 @@ def sliced(
     size, nodes = _answering_cells(atlas, whole, answers, [region.names.index(name) for name in names])
     sheets = tuple(charted.labels[n] for charted in atlas.charted for n in range(len(charted.sheets)))
     return Slice(
-        problem=atlas.problem, axes=along, at=others, values=values, answers=answers, sheets=sheets, why=why,
+        problem=atlas.problem, axes=along, at=others, values=values, answers=answers, sheets=sheets, reason_index=why,
         reasons=reasons, size=size, nodes=nodes,
     )  # fmt: skip
 

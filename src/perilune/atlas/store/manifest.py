@@ -15,7 +15,7 @@ from typing import Any
 
 from perilune.core import PeriluneError
 from perilune.io import finite, tree
-from perilune.problem import Nature
+from perilune.problem import Nature, with_new_keys
 
 _CHECKSUM = "crc32"
 _LAST = f', "{_CHECKSUM}": '  # before its value, which ends the line
@@ -45,7 +45,7 @@ def read_line(line: bytes) -> dict[str, Any] | None:
             found = tree(line.decode(), "a line of a manifest")
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return with_new_keys(found, "manifest") if isinstance(found, dict) else None
 
 
 def is_cut_off(line: bytes) -> bool:
@@ -71,7 +71,7 @@ def damage_text(name: str) -> Iterator[None]:
 def refuse_no_survey(line: Mapping[str, Any]) -> None:
     """Raise ValueError for an invalid line of a survey; the equations of its charts are checked elsewhere."""
     _refuse_unless(isinstance(line.get("digest"), str) and line["digest"].isalnum(), "a survey's digest")
-    before, notes, edges, charts = (line.get(key, []) for key in ("before", "notes", "edges", "charts"))
+    before, notes, edges, charts = (line.get(key, []) for key in ("predecessors", "notes", "edges", "charts"))
     _refuse_unless(_is_list_of(before, str), "the surveys before one")
     _refuse_unless(_is_list_of(notes, str), "its notes")
     _refuse_unless(_is_list_of(edges, dict), "edges of bricks")
@@ -89,19 +89,19 @@ def refuse_no_survey(line: Mapping[str, Any]) -> None:
         _refuse_unless(
             _is_list_of(widths, int, float) and all(0 < width < math.inf for width in widths), "the widths of a chart"
         )
-        times = chart.get("times")
+        times = chart.get("reintegration_steps")
         _refuse_unless(
             _is_list_of(times, int) and all(0 < n <= _MOST_TIMES for n in times),
             "the steps of the independent re-integration",
         )
-        without = chart.get("without", [])
+        without = chart.get("excluded_bricks", [])
         places = _is_list_of(without, list) and all(_is_exact_integer(number) for place in without for number in place)
         _refuse_unless(places, "places that a chart leaves out")
         _refuse_unless(
             _is_list_of(chart.get("sheets"), dict) and 0 < len(chart["sheets"]) <= _MOST_SHEETS, "the sheets of a chart"
         )
         for sheet in chart["sheets"]:
-            holds = sheet.get("holds")
+            holds = sheet.get("active_bounds")
             _refuse_unless(isinstance(holds, dict) and set(holds.values()) <= {"lower", "upper"}, "what a sheet holds")
             _refuse_unless(sheet.get("orientation") in (-1, 1), "the side of a fold")
             _refuse_unless(sheet.get("nature") in Nature.__members__, "the kind of a sheet's extremals")
@@ -133,7 +133,8 @@ def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
     )
     _refuse_unless(_is_exact_integer(line.get("round", 0)) and line.get("round", 0) >= 0, "the round of a brick")
     _refuse_unless(
-        _is_exact_integer(line.get("thin", 0)) and line.get("thin", 0) >= 0, "how many nodes have a thin margin"
+        _is_exact_integer(line.get("thin_margin", 0)) and line.get("thin_margin", 0) >= 0,
+        "how many nodes have a thin margin",
     )
     _refuse_unless(_shard(line.get("nodes")) and _shard(line.get("cells")), "the shards of a brick")
 
@@ -153,12 +154,12 @@ def refuse_no_sample(line: Mapping[str, Any], d: int) -> None:
     ValueError
         If an entry is missing or has another type or range.
     """
-    _refuse_unless(_is_exact_integer(line.get("asked")) and line["asked"] >= 0, "how many proofs")
+    _refuse_unless(_is_exact_integer(line.get("requested")) and line["requested"] >= 0, "how many proofs")
     _refuse_unless(
         _is_exact_integer(line.get("refused", 0)) and line.get("refused", 0) >= 0, "how many places are refused"
     )
-    for kind in ("drawn", "thin", "kept"):
-        certificates: Any = line.get(kind, [] if kind == "kept" else None)
+    for kind in ("drawn", "thin_margin", "merged"):
+        certificates: Any = line.get(kind, [] if kind == "merged" else None)
         _refuse_unless(_is_list_of(certificates, dict), f"certificates that are {kind}")
         for one in certificates:
             values = one.get("values")

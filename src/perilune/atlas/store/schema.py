@@ -136,7 +136,7 @@ def places_of(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]
     chart
         Entry of the chart in the line of the survey.
     """
-    without = {tuple(place) for place in chart.get("without", ())}
+    without = {tuple(place) for place in chart.get("excluded_bricks", ())}
     return [brick for brick in region.bricks if brick not in without]
 
 
@@ -161,7 +161,7 @@ def seeded_places(region: Region, chart: Mapping[str, Any], seeds: NDArray[Any])
 def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
     """Return the sheets that the survey's line lists for a chart."""
     return tuple(
-        Sheet(holds=dict(s["holds"]), orientation=float(s["orientation"]), nature=Nature[s["nature"]])
+        Sheet(holds=dict(s["active_bounds"]), orientation=float(s["orientation"]), nature=Nature[s["nature"]])
         for s in chart["sheets"]
     )
 
@@ -184,4 +184,4 @@ def open_chart(problem: Problem, region: Region, said: Mapping[str, Any]) -> Ope
     chart = Chart(problem, region.names, widths_of(said, region), arc_sequence_from(said))
     if said["unknowns"] != len(chart.places):
         raise ValueError(f"{said['unknowns']} unknowns in place of {len(chart.places)}")
-    return OpenChart(chart, sheets_of(said), tuple(map(int, said["times"])))
+    return OpenChart(chart, sheets_of(said), tuple(map(int, said["reintegration_steps"])))

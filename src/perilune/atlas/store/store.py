@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.store.checksums import CHECKSUM, FORMAT, end_line, sealed_header, with_checksum
+from perilune.atlas.store.checksums import CHECKSUM, FORMAT, KNOWN_FORMATS, end_line, sealed_header, with_checksum
 from perilune.atlas.store.file_errors import (
     damaged_shard_error,
     unreadable_file_error,
@@ -44,6 +44,7 @@ from perilune.atlas.store.manifest import (
 )
 from perilune.core import PeriluneError, bounded_text
 from perilune.io import LARGEST_FILE, finite, json_text, refuse_name_of_file, tree
+from perilune.problem import with_new_keys
 
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
 PATIENCE = 0.2  # seconds between looks at what another builder does
@@ -123,7 +124,7 @@ class AtlasStore:
             advice="perilune atlas build SCENARIO --vary KEY=LOW:HIGH --out DIR",
         )  # fmt: skip
         found = tree(content, "atlas", _ANEW)
-        if not isinstance(found, dict) or found.get("format") != FORMAT:
+        if not isinstance(found, dict) or found.get("format") not in KNOWN_FORMATS:
             said = found.get("format") if isinstance(found, dict) else None
             raise PeriluneError(
                 "this is not an atlas of this version",
@@ -139,7 +140,7 @@ class AtlasStore:
                 advice=_ANEW,
             )
         self._seal = found.pop(CHECKSUM)
-        return found
+        return with_new_keys(found, "header")
 
     @property
     def seal(self) -> str:
@@ -181,7 +182,7 @@ class AtlasStore:
         """Return the line of the valid survey.
 
         It is the first (two builders that make one at once make the same), or the last extension of it: each names the
-        surveys ``before`` it, the last of which it extends.
+        surveys before it as its ``predecessors``, the last of which it extends.
 
         Raises
         ------
@@ -196,7 +197,7 @@ class AtlasStore:
                     refuse_no_survey(line)
                 if line.get("header") != self.seal:
                     others = True
-                elif line.get("before", [])[-1:] == ([] if found is None else [found["digest"]]):
+                elif line.get("predecessors", [])[-1:] == ([] if found is None else [found["digest"]]):
                     found = line
         if others and found is None and self.seal:
             raise PeriluneError(
@@ -216,7 +217,7 @@ class AtlasStore:
         d
             Number of axes.
         """
-        mine, charts = {survey["digest"], *survey.get("before", [])}, len(survey["charts"])
+        mine, charts = {survey["digest"], *survey.get("predecessors", [])}, len(survey["charts"])
         found = [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
         with damage_text(MANIFEST):
             for line in found:

@@ -153,7 +153,7 @@ def classify_behind_folds(
     at = dict(zip(region.names, (values * charted.chart.scale).tolist(), strict=True))
     root = ExtremalRoot(root=charted.root(*polished.row(0)), minimum=True)
     try:
-        solution = charted.solution(problem.with_given(**at), [root], Statistics(rung="atlas"))
+        solution = charted.solution(problem.with_given(**at), [root], Statistics(initialization="atlas"))
         told = [check for check in check_local_optimality(solution) if check.name in _TOLD_BY]
     except (PeriluneError, ArithmeticError):
         return Nature.UNPROVED

@@ -122,8 +122,10 @@ def with_expected_branches(known: SurveyedChart, corners: Matrix) -> SurveyedCha
 
 def chart_entry(found: SurveyedChart) -> dict[str, Any]:
     """Return the entry of a chart in a survey's line."""
-    sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
-    said = {"widths": found.widths.tolist(), "times": list(found.times), "unknowns": found.y.shape[2]}
+    sheets = [
+        {"active_bounds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets
+    ]
+    said = {"widths": found.widths.tolist(), "reintegration_steps": list(found.times), "unknowns": found.y.shape[2]}
     return {**found.chart.course.document(), **said, "sheets": sheets}
 
 

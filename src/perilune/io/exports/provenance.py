@@ -34,7 +34,7 @@ def provenance(solution: Solution, scenario_text: str | None = None, document: A
         "source": _program(made_by or program_versions()),
         "method": solution.method,
         "outcome": solution.outcome.name,
-        "proof": solution.verification.told,
+        "proof": solution.verification.summary,
         "objective": f"{float(solution.objective)!r} {problem.objective_unit}",
         "free_parameters": _parameters_json(
             {name: (value, problem.unit_of(name)) for name, value in solution.free.items()}

@@ -59,7 +59,7 @@ class Pseudospectral(Transcription):
         Returns
         -------
         Solution
-            With costates; `statistics.residual` is the largest relative mesh error and `statistics.tried` the
+            With costates; `statistics.residual` is the largest relative mesh error and `statistics.attempts` the
             history.
 
         Raises

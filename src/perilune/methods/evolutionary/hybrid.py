@@ -107,7 +107,7 @@ class Hybrid:
                 tried.append(f"{start}: J = {answers[-1].objective:.9g} {problem.objective_unit}")
         if not answers:
             assert failure is not None
-            failure.partial["tried"] = [*tried, *failure.partial.get("tried", ())]
+            failure.partial["attempts"] = [*tried, *failure.partial.get("attempts", ())]
             raise failure
         return _choose_best_refined(answers, tuple(tried), time.perf_counter() - began)
 
@@ -124,8 +124,8 @@ def _choose_best_refined(answers: list[Solution], tried: tuple[str, ...], wall_t
             known.append(_extremal(other, Nature.LOCAL_OPTIMUM))
     statistics = replace(
         best.statistics,
-        rung=f"genetic search, then {best.statistics.rung}",
-        tried=(*tried, *best.statistics.tried),
+        initialization=f"genetic search, then {best.statistics.initialization}",
+        attempts=(*tried, *best.statistics.attempts),
         iterations=sum(a.statistics.iterations for a in answers),
         arcs=sum(a.statistics.arcs for a in answers),
         wall_time=wall_time,

@@ -204,9 +204,9 @@ class Coarse:
             else:
                 solution = method.run(self.problem, guess, self.watch)
         except PeriluneError as error:
-            self._say(getattr(error, "partial", {}).get("tried", (error.what,)))
+            self._say(getattr(error, "partial", {}).get("attempts", (error.what,)))
             raise
-        self._say(solution.statistics.tried)
+        self._say(solution.statistics.attempts)
         return solution
 
     def _say(self, lines: tuple[str, ...]) -> None:

@@ -31,9 +31,9 @@ def extremals_without_guess(
     base
         A member of a family of another run, which is followed first.
     last
-        True to start by the last rung only.
+        True to start by the last group of starts only.
     answered
-        True to leave the last rung out, as an answer is known.
+        True to leave the last group of starts out, as an answer is known.
     """
     found: list[ExtremalRoot] = []
     given = [(base, "continuation")] if base is not None else []
@@ -44,18 +44,18 @@ def extremals_without_guess(
         _members_in_bounds(state, ways.from_shorter_flights()),
         ways.from_transcription(),
     ]
-    for i, rung in enumerate(rungs):
+    for i, group in enumerate(rungs):
         if (last and i < 3) or (i == 3 and answered):
             continue
         if state.has_answer(found) and (i == 3 or (i == 2 and (base is not None or ways.agreed))):
-            continue  # the last rung is for those that the others left without an answer
+            continue  # the last group of starts is for those that the others left without an answer
         if i == 3 and (held := conditions_reached_by(state, state.coarse.solve())):
             return extremals_without_guess(state.keeping(held), last=True)
-        for first, name in rung:
+        for first, name in group:
             if not state.walked_through(first):
                 new, members = extremals_through(state, first)
                 if state.has_answer(new) and (state.base is None or _isolated_and_better(state, first)):
-                    state.base, state.rung = first, name
+                    state.base, state.start = first, name
                 found += unknown_extremals(new, found)
                 for member in members:
                     state.walked.setdefault(member.value, []).append(member.root.y)

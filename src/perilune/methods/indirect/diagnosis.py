@@ -64,12 +64,12 @@ def explain_refusal(coarse: Coarse, breaches: list[ConstraintViolation]) -> Peri
     direct, bounds = coarse.refusal, [breach for breach in breaches if not breach.path]
     known = getattr(direct, "partial", {})
     if isinstance(direct, InfeasibleError) or (direct is not None and "least_miss" in known and not breaches):
-        known["tried"] = list(coarse.tried)
+        known["attempts"] = list(coarse.tried)
         return direct
-    if bounds and known.get("all_missed"):
+    if bounds and known.get("all_infeasible"):
         got = "the direct method found no flight either"
         return best_misses_bound_error(
-            coarse.problem, bounds, len(breaches), got, {**known, "tried": list(coarse.tried)}
+            coarse.problem, bounds, len(breaches), got, {**known, "attempts": list(coarse.tried)}
         )
     flight = coarse.flight
     if flight is not None and (
@@ -77,7 +77,7 @@ def explain_refusal(coarse: Coarse, breaches: list[ConstraintViolation]) -> Peri
     ):
         if _by_the_mesh_alone(coarse, flight, priced[0]):
             got = "the direct method's flight keeps it by a margin below its mesh error"
-            return best_misses_bound_error(coarse.problem, priced, len(breaches), got, {"tried": list(coarse.tried)})
+            return best_misses_bound_error(coarse.problem, priced, len(breaches), got, {"attempts": list(coarse.tried)})
     if flight is not None and (breaches or active_path_condition(coarse.problem, flight)):
         return no_extremal_error(coarse.problem, flight, breaches, coarse.tried)
     return undecided_error(coarse.problem, breaches, coarse.refusal, coarse.tried) if breaches else None
@@ -178,7 +178,7 @@ def no_extremal_error(
         expected="an optimal flight that keeps every condition" if breaches else "a flight that no variation improves",
         advice="the direct method (--method direct, Pseudospectral()) may find this arc; "
         + _suggest_easier_problem(problem),
-        partial={"tried": list(tried)},
+        partial={"attempts": list(tried)},
         flight=flight,
     )
 
@@ -199,7 +199,7 @@ def flight_without_extremal_error(flight: Solution, tried: list[str]) -> NotConv
         "arcs was found: others, such as another burn, may better it",
         expected="a flight that no change improves",
         advice="a throttle floor above 0, with which few burns pay; the flight as a guess for another method",
-        partial={"tried": list(tried)},
+        partial={"attempts": list(tried)},
         flight=flight,
     )
 
@@ -253,7 +253,7 @@ def undecided_error(
         got=f"{least.text}; direct method: {ends}",
         expected=least.kept or f"{called} never below 0",
         advice=f"relax {keys[0] if keys else called}, and tighten it step by step from a solved value (perilune sweep)",
-        partial={**getattr(direct, "partial", {}), "tried": list(tried)},
+        partial={**getattr(direct, "partial", {}), "attempts": list(tried)},
         flight=getattr(direct, "flight", None),
     )
 
@@ -306,7 +306,7 @@ def no_start_converged_error(
         The nearest approach, if any start could be flown to its end.
     """
     problem, tried, flight = coarse.problem, coarse.tried, coarse.flight
-    partial: dict[str, Any] = {"tried": list(tried), "iterations": iterations}
+    partial: dict[str, Any] = {"attempts": list(tried), "iterations": iterations}
     what, got = NO_EXTREMAL, "no start could be integrated to its end"
     if nearest is not None:
         scaled = nearest.residual[: len(conditions.residuals)]
@@ -345,7 +345,7 @@ def no_start_converged_error(
 def _direct_misses(coarse: Coarse) -> dict[str, Any]:
     """Return what the direct method's flight misses, where it found none that misses nothing."""
     known = getattr(coarse.refusal, "partial", {}) if coarse.flight is None else {}
-    return {name: known[name] for name in ("missed", "all_missed", "settled") if name in known}
+    return {name: known[name] for name in ("violations", "all_infeasible", "converged") if name in known}
 
 
 def _nearest_approach(problem: Problem, conditions: OptimalityConditions, scaled: Vector, values: Vector) -> str:

@@ -136,7 +136,7 @@ class Indirect(SearchSettings):
             for known in search.breaking_path() if guess is None else ():
                 if (found := self._structured(search, known, brief=True)) is not None:
                     return found
-            error.partial["tried"] = list(search.tried)
+            error.partial["attempts"] = list(search.tried)
             raise
         except TimeLimitReached as end:
             end.tried = (*search.tried, *end.tried)
@@ -161,7 +161,7 @@ class Indirect(SearchSettings):
             return solution
         gained = format_quantity(gain, search.problem.objective_unit, 3)
         said = f"{KNOWN_BETTER} {gained}, but no extremal of its arcs was found"
-        statistics = replace(solution.statistics, tried=(*solution.statistics.tried, said))
+        statistics = replace(solution.statistics, attempts=(*solution.statistics.attempts, said))
         return replace(solution, statistics=statistics)
 
     def _exactly(self, search: Search, solution: Solution) -> Solution:
@@ -203,11 +203,11 @@ class Indirect(SearchSettings):
         if not found.objective < solution.objective:
             return None
         others = (replace(e, nature=e.nature.dominated) for e in solution.extremals)
-        tried = (*solution.statistics.tried, *search.tried, *found.statistics.tried)
+        tried = (*solution.statistics.attempts, *search.tried, *found.statistics.attempts)
         return replace(
             found,
             extremals=(*(replace(e, nature=e.nature.unguided) for e in found.extremals), *others),
-            statistics=replace(found.statistics, rung=TRANSCRIBED, tried=tried),
+            statistics=replace(found.statistics, initialization=TRANSCRIBED, attempts=tried),
         )
 
     def _of_known_arcs(self, search: Search) -> list[Solution]:
@@ -262,7 +262,7 @@ def _merge_searches(found: Sequence[Solution], search: Search) -> Solution:
     others = (one for one in found if one is not best and one.objective - best.objective > alike)
     dominated = (replace(e, nature=e.nature.dominated) for one in others for e in one.extremals)
     took = time.perf_counter() - search.state.began
-    statistics = replace(best.statistics, tried=tuple(search.tried), wall_time=took)
+    statistics = replace(best.statistics, attempts=tuple(search.tried), wall_time=took)
     return replace(best, extremals=(*best.extremals, *dominated), statistics=statistics)
 
 
@@ -291,6 +291,6 @@ def _may_be_structured(guess: Solution) -> bool:
     """Return True if a guess may have contact points or boundary arcs; an indirect one says so itself."""
     return (
         isinstance(guess.trajectories, JoinedTrajectories)  # an atlas's answer of arcs, too
-        or guess.statistics.rung.endswith(STRUCTURE)
+        or guess.statistics.initialization.endswith(STRUCTURE)
         or guess.method != Indirect.name
     )

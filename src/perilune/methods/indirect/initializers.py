@@ -144,14 +144,14 @@ class ColdStarts:
             for segments in counts:
                 if not can_use_multiple_shooting(trials.conditions, segments):
                     continue
-                rung = TRANSCRIBED if segments == 1 else "multiple shooting"
-                trials.watch(f"start: {rung}")
+                start = TRANSCRIBED if segments == 1 else "multiple shooting"
+                trials.watch(f"start: {start}")
                 root = trials.by_pieces(rough, y, choice, segments, trials.others)
                 if root.converged:
-                    yield Member(value=value, root=root), rung
+                    yield Member(value=value, root=root), start
                     return
                 left = float(np.abs(root.residual).max())
-                self.tried.append(f"{rung}: Newton {f'ended at residual {left:.2g}' if left < np.inf else 'was lost'}")
+                self.tried.append(f"{start}: Newton {f'ended at residual {left:.2g}' if left < np.inf else 'was lost'}")
             if smoothing is None and self.coarse.lost and not self.keep:
                 trials.watch(f"start: {SMOOTH}")
                 smoothing = Smoothing(trials=trials, segments=some)
@@ -170,5 +170,5 @@ class ColdStarts:
         refused = self.coarse.refusal
         if self.found_any or self.coarse.solution is not None or isinstance(refused, InfeasibleError):
             return
-        if getattr(refused, "partial", {}).get("settled", True):
+        if getattr(refused, "partial", {}).get("converged", True):
             yield from filter(None, [self.coarse.without_limits()])

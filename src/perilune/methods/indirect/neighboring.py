@@ -139,10 +139,12 @@ class Nearby:
         """
         problem = self.solution.problem.with_given(**values)
         own = self._own(problem)
-        statistics = Statistics(rung="guess", iterations=len(root.history))
+        statistics = Statistics(initialization="guess", iterations=len(root.history))
         extremal = found_at(self.shooting, own, root)
         found = compose_solution(self.solution.method, own, self.shooting.conditions, [extremal], statistics)
         if self.arcs is None:
             return found
         whole = join_solution(problem, found, self.arcs.structure)
-        return replace(whole, statistics=replace(whole.statistics, rung=self.solution.statistics.rung))
+        return replace(
+            whole, statistics=replace(whole.statistics, initialization=self.solution.statistics.initialization)
+        )

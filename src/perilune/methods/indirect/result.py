@@ -51,11 +51,15 @@ def compose_solution(
     found
         At least one.
     statistics
-        Of the run; `rung` says whether a guess led to the root. The residual is added.
+        Of the run; `initialization` says whether a guess led to the root. The residual is added.
     """
     ranked = drop_mirror_images(conditions, sorted(found, key=lambda f: (not f.minimum, f.root.cost)))
     # Near a locally worst extremal there is a better one: none that is worse than it is the best.
-    unit, guessed, least = objective_scale(problem), statistics.rung == "guess", min(f.root.cost for f in ranked)
+    unit, guessed, least = (
+        objective_scale(problem),
+        statistics.initialization == "guess",
+        min(f.root.cost for f in ranked),
+    )
     extremals = tuple(
         Extremal(
             free=free_values(problem, conditions, f.root.y),

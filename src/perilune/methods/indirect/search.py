@@ -87,7 +87,7 @@ class Search:
         if not state.has_answer(found):
             breaches = [breach for f in found if (breach := state.judge.breach(f.root)) is not None]
             raise explain_refusal(state.coarse, breaches or state.broken) or state.failure()
-        return state.compose([f for f in found if state.judge.breach(f.root) is None], state.rung)
+        return state.compose([f for f in found if state.judge.breach(f.root) is None], state.start)
 
     def near(
         self, guess: Solution, *, family: bool = False
@@ -158,7 +158,7 @@ class Search:
         missed = [b for b in grazing if bound_unreachable_objective(self.problem, b) is not None]
         if missed:
             told = "each flight that keeps it would be better than this optimum"
-            raise best_misses_bound_error(self.problem, missed, 1, told, {"tried": list(self.tried)})
+            raise best_misses_bound_error(self.problem, missed, 1, told, {"attempts": list(self.tried)})
 
     def _from_guess(self, guess: Solution) -> tuple[SearchState, list[ExtremalRoot]]:
         """Solve from a guess; what lies on a bound there begins on it, what the path holds back there is kept."""

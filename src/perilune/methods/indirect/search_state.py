@@ -41,7 +41,7 @@ class SearchState:
         Unknowns of the members of the families followed, by the held value.
     followed
         Extremals from which families along all parameters between bounds were followed, where there are several.
-    base, rung
+    base, start
         The member from which the best family was followed, and the way of starting that led to it.
     broken, breaking
         What extremals with the scanned parameter held break, and these extremals.
@@ -65,7 +65,7 @@ class SearchState:
         self.walked: dict[float, list[Vector]] = {}
         self.followed: list[ExtremalRoot] = []
         self.base: Member | None = None
-        self.rung: str = ""
+        self.start: str = ""
         self.broken: list[ConstraintViolation] = []
         self.breaking: list[Root] = []
         self.coarse: Coarse = Coarse(self.settings, self.problem, self.tried, self.watch)
@@ -86,19 +86,19 @@ class SearchState:
         """Return True if a family that was followed holds the member."""
         return any(same_vector(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
 
-    def compose(self, found: Sequence[ExtremalRoot], rung: str) -> Solution:
-        """Make a solution of extremals, which says by which rung they were found.
+    def compose(self, found: Sequence[ExtremalRoot], start: str) -> Solution:
+        """Make a solution of extremals, which says by which start they were found.
 
         Parameters
         ----------
         found
             Extremals in any order; the best becomes the answer.
-        rung
-            Name of the way of starting, in `Statistics.rung`.
+        start
+            Name of the way of starting, in `Statistics.initialization`.
         """
         statistics = Statistics(
-            rung=rung,
-            tried=tuple(self.tried),
+            initialization=start,
+            attempts=tuple(self.tried),
             iterations=self.trials.shooting.iterations,
             arcs=self.trials.shooting.arcs,
             wall_time=time.perf_counter() - self.began,

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from perilune.methods.direct.pseudospectral import Pseudospectral
 
 
-STRUCTURE = "structure"  # ends the rung of an answer with contact points or boundary arcs
+STRUCTURE = "structure"  # ends the start of an answer with contact points or boundary arcs
 TRANSCRIBED = "direct transcription"  # the same, from the direct method's answer in one piece
 
 

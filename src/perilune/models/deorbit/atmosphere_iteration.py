@@ -69,7 +69,7 @@ def with_air_along_flight(problem: Problem, solution: Solution) -> Problem:
     PeriluneError
         If the air of the problem is not that of an epoch.
     """
-    stated = {type(record): record for record in problem.declared}
+    stated = {type(record): record for record in problem.records}
     air, aim = stated.get(records.Atmosphere), stated.get(records.Aim, records.Aim())
     epoch = aim.instant()
     if air is None or air.model != "nrlmsis" or epoch is None:

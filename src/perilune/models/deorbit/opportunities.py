@@ -12,11 +12,18 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from perilune.core import NUMERIC, InfeasibleError, PeriluneError, check_call, require_type
+from perilune.core import (
+    NUMERIC,
+    InfeasibleError,
+    PeriluneError,
+    RenamedAttribute,
+    check_call,
+    require_type,
+)
 from perilune.models.deorbit.ballistic_fall import turning_speed
 from perilune.models.deorbit.initial_guess import estimate_descent
 from perilune.models.deorbit.orbit import plane_axes, radius_and_speeds
@@ -50,7 +57,7 @@ class Opportunity(Pass):
     ----------
     distance
         Of the site from the plane of the orbit, along the ground [m].
-    available
+    available_velocity_change
         Velocity change of all propellant [m/s].
     verdict
         ``"reachable"``, ``"doubtful"`` or ``"out of reach"``.
@@ -61,10 +68,11 @@ class Opportunity(Pass):
     """
 
     distance: float
-    available: float
+    available_velocity_change: float
     verdict: str
     utc: datetime | None
     settings: Mapping[str, str]
+    available: ClassVar[RenamedAttribute] = RenamedAttribute("available_velocity_change")
 
 
 @check_call
@@ -109,12 +117,12 @@ def refuse_no_opportunity(found: Sequence[Opportunity], days: float) -> None:
     """
     if any(one.verdict != OUT_OF_REACH for one in found):
         return
-    near = min(found, key=lambda one: abs(one.away), default=None)
+    near = min(found, key=lambda one: abs(one.out_of_plane_angle), default=None)
     raise InfeasibleError(
         f"the site is out of reach on every pass within {days:g} days",
         got="no pass"
         if near is None
-        else f"the nearest is {math.degrees(abs(near.away)):.3g} deg"
+        else f"the nearest is {math.degrees(abs(near.out_of_plane_angle)):.3g} deg"
         f" ({near.distance / 1e3:.0f} km) off, {near.ignition / 3600:.2f} h after t = 0",
         expected="a pass for which the propellant suffices to turn the plane of the orbit",
         advice="more --days, more propellant, or another site",
@@ -168,13 +176,14 @@ def _classify_pass(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: t
         away, turned = nearest_approach_to_plane(p, orbit.later(start), entry, found.landing - start)
         beyond = away > turned + OFF_PLANE and not hasattr(p, "vehicle_lift_to_drag")
         verdict = OUT_OF_REACH if beyond else DOUBTFUL
-    aim = next((record for record in problem.declared if isinstance(record, Aim)), Aim())
+    aim = next((record for record in problem.records if isinstance(record, Aim)), Aim())
     utc = aim.instant()
     settings = _orbit_settings_at(problem, p, orbit, start)
     if utc is not None:
         settings["problem.epoch"] = f"{utc + timedelta(seconds=start):%Y-%m-%dT%H:%M:%SZ}"
     return Opportunity(
-        **vars(found), distance=abs(found.away) * float(p.body_radius), available=available, verdict=verdict,
+        **vars(found), distance=abs(found.out_of_plane_angle) * float(p.body_radius),
+        available_velocity_change=available, verdict=verdict,
         utc=None if utc is None else utc + timedelta(seconds=found.ignition), settings=settings,
     )  # fmt: skip
 
@@ -201,7 +210,7 @@ def _orbit_settings_at(problem: Problem, p: Any, orbit: Drift, start: float) -> 
     perigee = {}
     if hasattr(p, "orbit_argument_of_perigee"):
         perigee["orbit.argument_of_perigee"] = _degrees(orbit.perigee + orbit.perigee_rate * start)
-    if any(isinstance(record, Manoeuvre) for record in problem.declared):
+    if any(isinstance(record, Manoeuvre) for record in problem.records):
         up, _ = plane_axes(angle, node, p, NUMERIC)
         distance = float(radius_and_speeds(angle - orbit.perigee_rate * start, p, NUMERIC)[0])
         latitude = float(ellipsoid.latitude([distance * part for part in up], p, NUMERIC))

@@ -349,8 +349,8 @@ def _describe_next_pass(p: Any, found: Sequence[Pass]) -> str:
     days = _AHEAD / _DAY
     if not found:
         return f"no pass within {days:g} days is certainly within reach"
-    least = min(found, key=lambda one: abs(one.away))
+    least = min(found, key=lambda one: abs(one.out_of_plane_angle))
     return (
         f"no pass within {days:g} days is certainly within reach; the nearest is"
-        f" {math.degrees(abs(least.away)):.1f} deg off, {least.ignition / 3600:.1f} h after t = 0"
+        f" {math.degrees(abs(least.out_of_plane_angle)):.1f} deg off, {least.ignition / 3600:.1f} h after t = 0"
     )

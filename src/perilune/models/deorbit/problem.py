@@ -209,7 +209,7 @@ def deorbit_entry(
         views=told.return_views(
             air=flown, heat=nose, coasts=_is_the_earth(body), given=given, body=catalogue_name(body), epoch=epoch or ""
         ),
-        declared=stated,
+        records=stated,
         preflight=partial(
             compare_return, angles=angles, air=flown, drifts="drift" in names, standard=_is_the_earth(body)
         ),

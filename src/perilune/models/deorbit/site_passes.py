@@ -32,11 +32,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from perilune.core import NUMERIC
+from perilune.core import (
+    NUMERIC,
+    RenamedAttribute,
+)
 from perilune.models.deorbit.initial_guess import estimate_descent
 from perilune.models.deorbit.orbit import plane_axes, radius_and_speeds
 from perilune.models.deorbit.records import (
@@ -70,9 +73,9 @@ class Pass:
         Times after t = 0.
     going
         Ascending or descending where it comes to the site.
-    away
+    out_of_plane_angle
         Angle of the site from the plane of the orbit, positive to the left of the way.
-    turn, velocity_change
+    plane_change, velocity_change
         Angle by which the plane is turned at ignition, and what that takes together with the way down; infinite where
         no turn there leads to the site.
     """
@@ -80,9 +83,11 @@ class Pass:
     ignition: float
     landing: float
     going: str
-    away: float
-    turn: float
+    out_of_plane_angle: float
+    plane_change: float
     velocity_change: float
+    away: ClassVar[RenamedAttribute] = RenamedAttribute("out_of_plane_angle")
+    turn: ClassVar[RenamedAttribute] = RenamedAttribute("plane_change")
 
 
 def site_relative_to_plane(p: Any, node: Any) -> tuple[Any, Any]:
@@ -147,7 +152,8 @@ def find_passes(p: Any, orbit: Drift, entry: tuple[float, float], *, drifts: boo
     return [
         Pass(
             ignition=float(ignition[k]), landing=float(ignition[k] + lasts[k]),
-            going="ascending" if math.cos(foot[k]) > 0 else "descending", away=float(left[k]), turn=float(turn[k]),
+            going="ascending" if math.cos(foot[k]) > 0 else "descending",
+            out_of_plane_angle=float(left[k]), plane_change=float(turn[k]),
             velocity_change=float(needs[k]) if sine[k] <= 1 else math.inf,
         )
         for k in range(len(ignition))

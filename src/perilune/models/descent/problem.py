@@ -402,7 +402,7 @@ def powered_descent(
     burns_once = target == "anywhere" and not coasts and throttle is None and minimise == "propellant"
     return Problem(
         name="powered_descent",
-        title=f"{vehicle.mass:g} kg lander from {start.altitude / 1e3:g} km over {body.titled}",
+        title=f"{vehicle.mass:g} kg lander from {start.altitude / 1e3:g} km over {body.heading}",
         phases=with_coast(burn, _FRAMES[coordinates].path, _WITHOUT_THRUST) if coasts else (burn,),
         links=(at_ignition,) if coasts else (),
         start=_FRAMES[coordinates].start,
@@ -414,7 +414,7 @@ def powered_descent(
         maximised=LANDED_MASS.name if minimise == "propellant" else "",
         minimised="" if minimise == "propellant" else FLIGHT_TIME.name,
         views=replace(_VIEWS, space=replace(_SPACE, body=catalogue_name(body))),
-        declared=(choices, *stated),
+        records=(choices, *stated),
         switching_guesses=rough_landing if waits else None,
         parameter_bounds=_descent_ranges,
         preflight=partial(_compare_descent, to_site=target == "site", waits=waits, burns_once=burns_once, body=body),

@@ -156,7 +156,7 @@ _VIEWS = views.Views(
     radius="body_radius",
     frame="inertial axes: x from the centre to the start of the Hohmann transfer, z along the body's rotation",
     label="hybrid, ΔV = {delta_v:.1f} m/s",
-    beside=views.Beside(given=(("retro_delta_v", 0.0),), label="ordinary, no retro burn"),
+    comparison=views.ComparisonFlight(given=(("retro_delta_v", 0.0),), label="ordinary, no retro burn"),
 )
 _SPACE = views.Space(
     rotation="body_rotation_rate",
@@ -267,7 +267,7 @@ def hybrid_landing(
     speed, time = ranges["retro_delta_v"][1], ranges["flight_time"][2]
     problem = Problem(
         name="hybrid_landing",
-        title=f"{vehicle.mass:g} kg lander from {orbit.perilune_altitude / 1e3:g} km to {body.titled}",
+        title=f"{vehicle.mass:g} kg lander from {orbit.perilune_altitude / 1e3:g} km to {body.heading}",
         phases=(_planar_descent("vehicle_dry_mass" in given),),
         start=_perilune_state,
         given=given,
@@ -283,7 +283,7 @@ def hybrid_landing(
             Variable(name="perilune_speed", unit="m/s", description="before the retro burn"),
         ),
         maximised=LANDED_MASS.name,
-        declared=stated,
+        records=stated,
         parameter_bounds=_hybrid_ranges,
         preflight=partial(compare_landing, body=body),
         consistency_checks=mass_consistency_checks,

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
-from perilune.core import quantity, record, text_field
+from perilune.core import (
+    RenamedAttribute,
+    quantity,
+    record,
+    renamed_keywords,
+    text_field,
+)
 
 # Of each harmonic alone: above 1/(n + 1) a pole would push away, and far below 0 another place on the surface.
 _ZONAL: dict[int, dict[str, Any]] = {
@@ -17,6 +23,7 @@ LIKE = 0.02  # of its radius and of its pull: constants of a body differ by less
 _SAME = 1e-3  # of its pull and its rotation; radii are those of the mean, the equator or a site
 
 
+@renamed_keywords(air="surface_pressure")
 @record("body")
 class Body:
     """A spherical, uniformly rotating body with point-mass gravity."""
@@ -31,10 +38,13 @@ class Body:
         about="inertial (sidereal); negative is retrograde, 0 rad/s does not rotate",
     )
 
-    air: float = 0.0  # Pa, pressure at the surface; the equations of every model leave it out, and say so
+    surface_pressure: float = 0.0  # Pa, of the atmosphere; the equations of every model leave it out, and say so
+    air: ClassVar[RenamedAttribute] = RenamedAttribute("surface_pressure")
+    spoken: ClassVar[RenamedAttribute] = RenamedAttribute("display_name")
+    titled: ClassVar[RenamedAttribute] = RenamedAttribute("heading")
 
     @property
-    def spoken(self) -> str:
+    def display_name(self) -> str:
         """Return the name used in a sentence: the Moon, Mars; "the body" where it has no name of its own.
 
         The name of a known body with the size or the pull of another is given only as a name.
@@ -51,11 +61,12 @@ class Body:
         return all(abs(own - its) <= LIKE * abs(its) for own, its in pairs)
 
     @property
-    def titled(self) -> str:
+    def heading(self) -> str:
         """Return the same in addition to an answer, which must mention the air."""
-        return f"{self.spoken}, without its atmosphere" if self.air else self.spoken
+        return f"{self.display_name}, without its atmosphere" if self.surface_pressure else self.display_name
 
 
+@renamed_keywords(air="surface_pressure")
 @record("body")
 class OblateBody(Body):
     """A body and its second zonal harmonic."""
@@ -66,6 +77,7 @@ class OblateBody(Body):
     )  # fmt: skip
 
 
+@renamed_keywords(air="surface_pressure")
 @record("body")
 class Planet(OblateBody):
     """A body with further zonal harmonics, and an ellipsoid for its surface where it has a flattening."""
@@ -99,8 +111,10 @@ class UniformGravity:
         about="uniform gravity over flat ground that does not rotate, in place of the others",
     )  # fmt: skip
 
+    titled: ClassVar[RenamedAttribute] = RenamedAttribute("heading")
+
     @property
-    def titled(self) -> str:
+    def heading(self) -> str:
         """Return the name used in a sentence."""
         return f"flat ground under {self.gravity:g} m/s^2"
 
@@ -129,7 +143,13 @@ MOON = Body(name="moon", gravitational_parameter=4.902800118e12, radius=1737.4e3
 MERCURY = Body(
     name="mercury", gravitational_parameter=2.2031868551e13, radius=2439.4e3, rotation_rate=_sidereal_rate(58.6461)
 )
-MARS = Body(name="mars", gravitational_parameter=4.282837362e13, radius=3389.5e3, rotation_rate=7.088218e-5, air=636.0)
+MARS = Body(
+    name="mars",
+    gravitational_parameter=4.282837362e13,
+    radius=3389.5e3,
+    rotation_rate=7.088218e-5,
+    surface_pressure=636.0,
+)
 EUROPA = Body(
     name="europa", gravitational_parameter=3.20271e12, radius=1560.8e3, rotation_rate=_sidereal_rate(3.551181)
 )
@@ -168,4 +188,4 @@ def _matches_known(body: Body, known: Body) -> bool:
 def recognise_body(body: Body) -> Body:
     """The body with the name and the air of the known one of its size and pull, if there is one."""
     like = matching_known_body(body)
-    return replace(body, name=like.name, air=like.air) if like else body
+    return replace(body, name=like.name, surface_pressure=like.surface_pressure) if like else body

@@ -216,17 +216,17 @@ def compare_start_height(start: Any, site: Any) -> Finding:
 
 def compare_neglected_air(body: Body) -> tuple[Finding, ...]:
     """Warn about the air of a body that has some: no model here has drag, lift or heat."""
-    if not body.air:
+    if not body.surface_pressure:
         return ()
     return (
         Finding(
             name="atmospheric pressure at the surface",
-            value=body.air,
+            value=body.surface_pressure,
             limit=0.0,
             at_least=False,
             unit="Pa",
             binding=False,
-            meaning=f"{body.spoken} has an atmosphere, which is neglected: the answer is that of an airless body",
+            meaning=f"{body.display_name} has an atmosphere, which is neglected: the answer is that of an airless body",
             advice="use it only for the last part, where the lander is slow, and note that drag is neglected",
             lasting=True,
         ),

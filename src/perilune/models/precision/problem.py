@@ -258,7 +258,7 @@ def precision_landing(
     views = _precision_views(body)
     return Problem(
         name="precision_landing",
-        title=f"{vehicle.mass:g} kg lander, {way / 1e3:.3g} km from its site on {body.titled}",
+        title=f"{vehicle.mass:g} kg lander, {way / 1e3:.3g} km from its site on {body.heading}",
         phases=phases,
         links=links,
         start=_approach_state,
@@ -270,7 +270,7 @@ def precision_landing(
             landing_results, *LANDING, *(v for v in (COAST_TIME, *TIMES) if v.name in {f.name for f in free})
         ),
         maximised=LANDED_MASS.name,
-        declared=stated,
+        records=stated,
         parameter_bounds=_precision_ranges,
         preflight=partial(compare_precision, body=body),
         views=views if corridor.slope is None else replace(views, floor="glide slope"),

@@ -32,7 +32,7 @@ def parameter_key(problem: Problem, name: str) -> str:
     name
         Name of a parameter, as ``vehicle_dry_mass``.
     """
-    for record in problem.declared:
+    for record in problem.records:
         section = section_of(type(record))
         key = name.removeprefix(f"{section}_")
         if key != name and key in record_keys(type(record)):

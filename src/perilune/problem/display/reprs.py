@@ -32,7 +32,7 @@ class ShownProblem:
 
         A title says what records the problem was made of; values that were given later follow it.
         """
-        made = given_of(*self.declared)
+        made = given_of(*self.records)
         later = [
             f"{name} {one_line(format_quantity(g.value, g.unit, 10))}"
             for name, g in self.given.items()

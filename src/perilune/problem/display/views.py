@@ -7,18 +7,42 @@ and the quantities that are worth a figure. A problem without views gets each st
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from string import Formatter
-from typing import Any
+from typing import Any, ClassVar
 
-from perilune.core import check_call, instant, public_names, require_row, require_si_number, require_type, unknown_name
+from perilune.core import (
+    RenamedAttribute,
+    check_call,
+    instant,
+    public_names,
+    renamed_keywords,
+    renamed_names,
+    require_row,
+    require_si_number,
+    require_type,
+    unknown_name,
+)
 
-__all__ = ["Beside", "Corridor", "Dispersion", "Disturbance", "Ground", "History", "Space", "ValidRange", "Views"]
+__all__ = [
+    "ComparisonFlight",
+    "Corridor",
+    "Dispersion",
+    "Disturbance",
+    "Ground",
+    "History",
+    "Space",
+    "ValidRange",
+    "Views",
+]
 
 
 def __dir__() -> list[str]:
     return public_names(__all__)
+
+
+__getattr__: Callable[[str], Any] = renamed_names(__name__, {"Beside": f"{__name__}.ComparisonFlight"})
 
 
 @check_call
@@ -43,7 +67,7 @@ class History:
 
 @check_call
 @dataclass(frozen=True, kw_only=True)
-class Beside:
+class ComparisonFlight:
     """A plainer flight of the same problem, drawn into the same figures: parameters held at values [SI]."""
 
     given: tuple[tuple[str, float], ...]
@@ -194,6 +218,7 @@ class ValidRange:
             require_si_number(getattr(self, side), f"the {side} end of a range")
 
 
+@renamed_keywords(beside="comparison")
 @check_call
 @dataclass(frozen=True, kw_only=True)
 class Views:
@@ -211,7 +236,7 @@ class Views:
         Axes and epoch of `Phase.inertial`, in words.
     label
         Name of a solution in a legend; ``{name:format}`` stands for the value of a result.
-    beside
+    comparison
         A flight to draw with it, or None.
     peaks
         Names of outputs whose largest value along the flight is a result, ``peak_load``, with its time from the begin
@@ -237,7 +262,7 @@ class Views:
     radius: str = ""
     frame: str = ""
     label: str = ""
-    beside: Beside | None = None
+    comparison: ComparisonFlight | None = None
     peaks: tuple[str, ...] = ()
     floor: str = ""
     ground: Ground | None = None
@@ -246,6 +271,7 @@ class Views:
     space: Space | None = None
     inputs: tuple[str, ...] = ()
     meant_for: tuple[ValidRange, ...] = ()
+    beside: ClassVar[RenamedAttribute] = RenamedAttribute("comparison")
 
     def __post_init__(self) -> None:
         require_row(self.histories, "figures", History)
@@ -258,7 +284,13 @@ class Views:
                 require_type(part, kind, f"a valid {name} of Views", f"pl.views.{kind.__name__}(...), or None")
 
 
-_PARTS = {"beside": Beside, "ground": Ground, "corridor": Corridor, "dispersion": Dispersion, "space": Space}
+_PARTS = {
+    "comparison": ComparisonFlight,
+    "ground": Ground,
+    "corridor": Corridor,
+    "dispersion": Dispersion,
+    "space": Space,
+}
 
 
 def _demand_texts(record: Any, called: str, *names: str) -> None:
@@ -289,7 +321,7 @@ def check_views(
     PeriluneError
         Named, with what is known.
     """
-    fixed = views.beside.given if views.beside else ()
+    fixed = views.comparison.given if views.comparison else ()
     ground = (views.ground.longitude, views.ground.latitude) if views.ground else ()
     plane = views.corridor
     shown = (plane.height, plane.speed, *plane.equal, *plane.position, *plane.velocity) if plane else ()

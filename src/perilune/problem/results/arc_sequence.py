@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
-from perilune.core import check_call
+from perilune.core import (
+    RenamedAttribute,
+    check_call,
+    renamed_keywords,
+)
 
 
+@renamed_keywords(words="description")
 @check_call
 @dataclass(frozen=True, kw_only=True)
 class NamedArc:
@@ -19,20 +25,21 @@ class NamedArc:
         Name of the phase.
     begin, end
         Interval in which it holds [s], from the beginning of the phase; both are the same at a contact point.
-    words
-        Its description: ``throttle at its upper bound``, ``along glide slope``, ``glide slope touched``.
+    description
+        In words: ``throttle at its upper bound``, ``along glide slope``, ``glide slope touched``.
     """
 
     phase: str
     begin: float
     end: float
-    words: str
+    description: str
+    words: ClassVar[RenamedAttribute] = RenamedAttribute("description")
 
     @property
     def text(self) -> str:
         """Describe the arc and its time."""
         when = f"at {self.end:.4g} s" if self.begin == self.end else f"{self.begin:.4g} to {self.end:.4g} s"
-        return f"{self.words} {when}"
+        return f"{self.description} {when}"
 
 
 def format_arcs(arcs: Sequence[NamedArc]) -> str:

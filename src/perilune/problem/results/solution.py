@@ -42,10 +42,11 @@ from perilune.problem.results.warnings import warnings_of
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Verification
 
-# The public parts of a `Verification`.
-_OF_VERIFICATION = frozenset({
-    *(f.name for f in fields(Verification)), "level", "title", "told", "headline", "within", "passed", "failed",
-})  # fmt: skip
+# The public parts of a `Verification`, by the names that they had when `verify` returned one.
+_OF_VERIFICATION = {
+    **{name: name for name in (*(f.name for f in fields(Verification)), "level", "title", "headline", "passed")},
+    "failed": "failed", "text": "source", "told": "summary", "within": "tolerance_used",
+}  # fmt: skip
 
 
 @check_call
@@ -59,18 +60,18 @@ class Result:
     label: str = ""
 
 
-@renamed_keywords(claimed="from_file")
+@renamed_keywords(claimed="from_file", rung="initialization", tried="attempts")
 @check_call
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
     """A record of how the answer was found; `from_file` where only a file says so.
 
-    `rung` is the kind of start that led to it, `tried` what was done for all starts. `iterations` and `arcs` count
-    all that was done for it, in all starts together; `history` has the iterations of starts that were solved singly.
+    `initialization` is the kind of start that led to it, `attempts` what was done for all. `iterations` and `arcs`
+    count all that was done for it, in all starts together; `history` has the iterations of starts solved singly.
     """
 
-    rung: str = ""
-    tried: tuple[str, ...] = ()
+    initialization: str = ""
+    attempts: tuple[str, ...] = ()
     iterations: int = 0
     arcs: int = 0
     residual: float = float("nan")
@@ -78,6 +79,8 @@ class Statistics:
     history: tuple[Iteration, ...] = field(default=(), repr=False)
     from_file: bool = False
     claimed: ClassVar[RenamedAttribute] = RenamedAttribute("from_file")
+    rung: ClassVar[RenamedAttribute] = RenamedAttribute("initialization")
+    tried: ClassVar[RenamedAttribute] = RenamedAttribute("attempts")
 
 
 @renamed_keywords(listed="unverified_extremals")
@@ -139,8 +142,9 @@ class Solution(ShownSolution):
             """Find what `perilune.verify` returned in earlier versions, the record itself, for one minor version."""
             if name not in _OF_VERIFICATION:
                 raise AttributeError(f"'Solution' object has no attribute {name!r}", name=name, obj=self)
-            warn_renamed(f"{name} of what verify returns", f"verify(...).verification.{name}")
-            return getattr(self.verification, name)
+            new = _OF_VERIFICATION[name]
+            warn_renamed(f"{name} of what verify returns", f"verify(...).verification.{new}")
+            return getattr(self.verification, new)
 
     def __getstate__(self) -> dict[str, Any]:
         plain = {"free": dict(self.free), "multipliers": dict(self.multipliers), "trajectories": (*self.trajectories,)}

@@ -17,7 +17,7 @@ import numpy as np
 from perilune.core import NUMERIC, Vector, format_quantity
 from perilune.problem.display.quantity_names import free_name, limit_name, parameter_key, quantity_name
 
-KNOWN_BETTER = "a flight is known that is better by"  # with which a line of `Statistics.tried` begins that says so
+KNOWN_BETTER = "a flight is known that is better by"  # with which a line of `Statistics.attempts` begins that says so
 _AT_BOUND = 1e-7  # of its range: a parameter that is nearer to its bound is on it
 _NO_LENGTH = 1e-3  # of a flight: a phase that is bounded to last so long at least may be as good as none
 _CONTACT = 1e-6  # of its range along the flight: a condition with less room is reached
@@ -67,7 +67,7 @@ def _warn_of_chattering(solution: Any) -> Iterator[str]:
 
 def _warn_of_better_flight(solution: Any) -> Iterator[str]:
     """Yield a sentence for each better flight that is known: the proved local optimum is dominated."""
-    yield from (line for line in solution.statistics.tried if line.startswith(KNOWN_BETTER))
+    yield from (line for line in solution.statistics.attempts if line.startswith(KNOWN_BETTER))
 
 
 def _held_parameters(solution: Any) -> Iterator[str]:

@@ -24,6 +24,7 @@ import numpy as np
 from perilune.core import NUMERIC, PeriluneError, unknown_name
 from perilune.problem.controls import Settled
 from perilune.problem.named_values import NamedValues
+from perilune.problem.renamed_keys import FUNCTIONS
 from perilune.problem.tracing.tape import Expression, NotAFormula, Recorder, Symbol
 
 # The functions of a phase, what each takes before `xp`, and the field of the phase with the names of its results.
@@ -39,7 +40,7 @@ PHASE_FUNCTIONS: dict[str, tuple[tuple[str, ...], str]] = {
     "track": (("x", "p"), ""),
     "end_guess": (("p",), "states"),
 }
-_WRITTEN = {"end_outputs": "marks", "end_guess": "typical_end"}  # names in digests and files, which stay
+_IN_DIGESTS = {new: old for old, new in FUNCTIONS.items()}  # which keep the old names
 _RATES = ("dynamics", "integrals")
 _INERTIAL = tuple((f"{what} {axis}", unit) for what, unit in
                   (("position", "m"), ("velocity", "m/s"), ("thrust", "m/s^2")) for axis in "xyz")  # fmt: skip
@@ -193,9 +194,9 @@ class StatedFunction:
         return self._failing(error)
 
 
-def written_key(key: Any) -> Any:
-    """Return the `StatedFunction.key` of a function as it stands in digests and files."""
-    return key if isinstance(key, str) else (key[0], _WRITTEN.get(key[1], key[1]))
+def _key_in_digests(key: Any) -> Any:
+    """Return the `StatedFunction.key` of a function as it stands in digests."""
+    return key if isinstance(key, str) else (key[0], _IN_DIGESTS.get(key[1], key[1]))
 
 
 def roles_of(key: Any) -> tuple[str, ...]:
@@ -324,7 +325,7 @@ def trace(problem: Any) -> TracedProblem:
             ]
             for phase in problem.phases
         ],
-        "functions": [[str(written_key(s.key)), list(s.records), s.results] for s in functions],
+        "functions": [[str(_key_in_digests(s.key)), list(s.records), s.results] for s in functions],
     }
     return TracedProblem(structure, {s.key: s.traced(parameters) for s in functions})
 

@@ -249,7 +249,7 @@ class StructureRefinement:
     def _composed(self, found: Solution) -> Solution:
         """Near a guess of this run's own it is the best, as it is the only one."""
         extremals = (e if self.guessed else replace(e, nature=e.nature.unguided) for e in found.extremals)
-        statistics = replace(found.statistics, rung=STRUCTURE, tried=tuple(self.tried))
+        statistics = replace(found.statistics, initialization=STRUCTURE, attempts=tuple(self.tried))
         return replace(found, extremals=tuple(extremals), statistics=statistics)
 
     def _extremals(self, rough: Solution, structure: Structure) -> Iterator[Solution]:
