@@ -66,7 +66,7 @@ def lunar_hop(problem: Aim, hopper: Hopper, hop: Hop) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0, 0.0, p.hopper_mass),
         given=given_of(hopper, hop),
-        declared=(hopper, hop),  # whose ranges hold for values that are given later, too
+        records=(hopper, hop),  # whose ranges hold for values that are given later, too
         free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.0, upper=300.0, guess=60.0),),
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",

@@ -274,6 +274,7 @@ def test_a_problem_takes_its_results_and_a_row_of_names(landing: pl.Problem) -> 
         (lambda: started(end=pl.Conditions(lambda x, p, xp: x.x, near="m")), ("got: one float", "return (value,)")),
         (lambda: started(end=pl.Conditions(lambda x: x.x, near="m")), ("takes 1 pos", "a function of (x, p, xp) that")),
         (lambda: pl.Quantities(place, pl.Variable(name="near"), near="m"), ("two quantities are called near",)),
+        (lambda: pl.Conditions(place, pl.Variable(name="near"), near="m"), ("two conditions are called near",)),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_conditions_is_said(ask: Callable[[], Any], parts: tuple[str, ...]) -> None:

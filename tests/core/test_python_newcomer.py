@@ -174,7 +174,7 @@ load_any: Any = load_file
             lambda: replace(LOOSE, parameter_bounds=3),
             ("not a valid parameter_bounds of a problem", "3", "a function, or None"),
         ),
-        (lambda: replace(LOOSE, declared=("x",)), ("not a record of a problem", "'x'", "@record")),
+        (lambda: replace(LOOSE, records=("x",)), ("not a record of a problem", "'x'", "@record")),
         (lambda: pl.Quantities(len, cast("Any", "x")), ("not a value of Quantities", "'x'", 'function, x="m")')),
         (lambda: replace(DESCENT, states=cast("Any", None)), ("not a row of states", "None", "(Variable(...), ...)")),
         (lambda: replace(DESCENT, states=cast("Any", ("x",))), ("not a state", "'x'", "Variable(...)")),

@@ -96,7 +96,7 @@ def test_the_best_of_those_that_miss_is_named() -> None:
         and "the direct method found no flight either" in error.got
     )
     assert error.reason == "the best found violates it" and error.reason in str(error)
-    assert error.partial == {**partial, "tried": ["costates on the unit sphere: 2 extremals"]}
+    assert error.partial == {**partial, "attempts": ["costates on the unit sphere: 2 extremals"]}
     undecided = explain_refusal(
         known(NotConvergedError("not yet optimal", partial={"all_infeasible": False})), [WIDE, LOW]
     )
@@ -247,7 +247,7 @@ def test_the_flight_that_keeps_everything_is_on_disk(capsys: pytest.CaptureFixtu
     assert height[0] == pytest.approx(15e3) and abs(height[-1]) < 1.0
     assert -25.0 < min(height) < -15.0 and "height above site violated by 19 m between" in kept["error"]["got"]
     assert "is far from keeping it" in kept["error"]["got"]  # to -1.6e6 m, which says nothing
-    assert kept["partial"]["tried"]
+    assert kept["partial"]["attempts"]
 
 
 def test_a_broken_path_is_named_and_no_round_off(landing: Problem) -> None:

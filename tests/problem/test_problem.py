@@ -56,6 +56,50 @@ def test_what_is_named_twice_is_refused() -> None:
     slider(phases=(phase, replace(phase, name="glide")), links=(lambda x, p, xp: (x.x, x.v),))
 
 
+def sized(kind: str, name: str, unit: str = "m") -> dict[str, Any]:
+    """Return a field of a phase or a problem that computes the distance from the start."""
+    takes: dict[str, Any] = {
+        "end_outputs": lambda x, p, xp: (x.x,), "integrals": lambda x, u, p, xp: (x.v,),
+        "results": lambda first, last, p, xp: (last.x,),
+    }  # fmt: skip
+    return {kind: Quantities(takes[kind], **{name: unit})}
+
+
+@pytest.mark.parametrize(
+    ("phase", "problem", "words"),
+    [
+        (sized("end_outputs", "objective"), {}, ("called objective", "`end_outputs` of the phase slide", "state `res")),
+        (sized("end_outputs", "flight_time"), {}, ("called flight_time", "of every problem without `results`")),
+        (sized("integrals", "flight_time"), {}, ("called flight_time", "`integrals` of the phase slide")),
+        (sized("end_outputs", "way"), sized("results", "way"), ("called way", "one of `results`, and", "the latter")),
+        (sized("end_outputs", "way") | sized("integrals", "way"), {}, ("called way", "`end_outputs`", "`integrals`")),
+        (sized("integrals", "peak_x"), {"views": Views(peaks=("x",))}, ("called peak_x", "`integrals`", "`peaks`")),
+    ],
+)
+def test_two_results_of_one_name_are_refused(phase: Any, problem: Any, words: tuple[str, ...]) -> None:
+    """A solution would have one of them, or for an integral their sum."""
+    with pytest.raises(PeriluneError, match="two results are called") as caught:
+        slider(phases=(replace(slider().phases[0], **phase),), **problem)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_results_take_the_names_of_those_that_they_replace() -> None:
+    (phase,) = slider().phases
+    slider(phases=(replace(phase, **sized("end_outputs", "objective")),), **sized("results", "way"))
+    slider(**sized("results", "flight_time", "m"))
+    slider(**sized("results", "time"))  # of a free parameter, which is no result
+
+
+def test_integrals_of_phases_add_up_in_one_unit() -> None:
+    (phase,) = slider().phases
+    first, second = (replace(phase, name=name, **sized("integrals", "way")) for name in ("slide", "glide"))
+    links = (lambda x, p, xp: (x.x, x.v),)
+    slider(phases=(first, second), links=links)
+    other = replace(second, integrals=Quantities(lambda x, u, p, xp: (x.x,), way="m*s"))
+    with pytest.raises(PeriluneError, match=r"way, have different units(.|\n)*got: m\*s in the phase glide"):
+        slider(phases=(first, other), links=links)
+
+
 def test_a_hidden_constant_is_found() -> None:
     """A dimensional number typed into the physics would be wrong in canonical units."""
     phase = replace(slider().phases[0], dynamics=lambda x, u, p, xp: (x.v, p.push * u.along - 9.81))

@@ -411,12 +411,16 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
 
 
 def test_conditions_that_are_called_alike_do_not_hide_one_another() -> None:
-    """x and y at most 1, both called the same; beyond the first J is less, and the flight was a theorem."""
+    """x and y at most 1, both called the same, behind the refusal; beyond the first J is less: it was a theorem."""
+    with pytest.raises(pl.PeriluneError, match="two conditions are called same"):
+        pl.Conditions(lambda x, p, xp: (x.x, x.y), *2 * (pl.Variable(name="same", upper=1.0),))
+    ends = pl.Conditions(lambda x, p, xp: (x.x, x.y), same="1", other="1")
+    object.__setattr__(ends, "variables", 2 * (pl.Variable(name="same", upper=1.0),))
     phase = pl.Phase(
         name="go", states=tuple(pl.Variable(name=name) for name in "xyc"), duration="T",
         controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v")),
         dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u * u.u + u.v * u.v) / p.T),
-        end=pl.Conditions(lambda x, p, xp: (x.x, x.y), *2 * (pl.Variable(name="same", upper=1.0),)), 
+        end=ends,
     )  # fmt: skip
     stated = pl.Problem(
         name="alike", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0), objective=lambda x, p, xp: x.c - 3 * x.y,

@@ -60,6 +60,9 @@ class NamedValues:
                 expected=f'{what}(function, altitude="m", speed="m/s")',
                 advice="name each value that the function returns, in its order",
             )
+        require_distinct(
+            what.lower(), [variable.name for variable in named]
+        )  # results and multipliers have their names
         own = function.function if isinstance(function, NamedValues) else function
         object.__setattr__(self, "function", own)
         object.__setattr__(self, "variables", named)
@@ -92,10 +95,6 @@ class Conditions(NamedValues):
 
 class Quantities(NamedValues):
     """Quantities that a phase or a problem computes: ``Quantities(o, altitude="m", pitch="rad")``."""
-
-    def __init__(self, function: Physics | None = None, /, *variables: Variable, **units: str) -> None:
-        super().__init__(function, *variables, **units)
-        require_distinct("quantities", [variable.name for variable in self.variables])  # they are found by their names
 
 
 # By the function of a phase or a problem: the old keyword of the row of its variables, and what it is now.

@@ -11,6 +11,8 @@ from typing import Any
 
 from perilune.core import PeriluneError, require_distinct, require_identifier, wrong_type_error
 from perilune.problem.phase import Phase
+from perilune.problem.results.dispersion import dispersion_variables
+from perilune.problem.results.extrema import peak_names
 
 _OWN = {"time": "the time since the phase began", "phase": "the phase of a row", "H": "the Hamiltonian"}
 _KINDS = {"state": "a state", "control": "a control", "output": "an output"}
@@ -40,6 +42,7 @@ def check_names(problem: Any) -> None:
     require_distinct("phases", [phase.name for phase in problem.phases])
     require_distinct("free parameters", problem.free_names)
     _check_units(problem.phases)
+    _check_results(problem)
 
 
 def _check_columns(phase: Phase) -> None:
@@ -69,3 +72,41 @@ def _check_units(phases: Iterable[Phase]) -> None:
                     f"{name} has a different unit in the phase {phase.name} than before", got=unit or "none",
                     expected=units[name] or "none", advice="another name, because tables have one column for both",
                 )  # fmt: skip
+
+
+def _check_results(problem: Any) -> None:
+    """Refuse two results of one name, of which a solution would have one; integrals of phases add up."""
+    taken, added = dict[str, str](), dict[str, str]()
+
+    def take(name: str, what: str) -> None:
+        if name in taken:
+            other = "; or state `results`, which replace those of every problem" if "every" in taken[name] else ""
+            raise PeriluneError(
+                f"two results are called {name}", got=f"{taken[name]}, and {what}", expected="different names",
+                advice=f"another name for the latter{other}",
+            )  # fmt: skip
+        taken[name] = what
+
+    if problem.results is None:
+        take("flight_time", "the flight time of every problem without `results`")
+        take("objective", "the objective of every problem without `results`")
+    for variable in problem.result_variables:
+        take(variable.name, "one of `results`")
+    for phase in problem.phases:
+        for variable in phase.end_output_variables:
+            take(variable.name, f"one of `end_outputs` of the phase {phase.name}")
+        for variable in phase.integral_variables:
+            if variable.name not in added:
+                take(variable.name, f"one of `integrals` of the phase {phase.name}")
+            elif added[variable.name] != variable.unit:
+                raise PeriluneError(
+                    f"integrals of two phases that add up, {variable.name}, have different units",
+                    got=f"{variable.unit} in the phase {phase.name}", expected=added[variable.name],
+                    advice="the same unit, or another name",
+                )  # fmt: skip
+            added[variable.name] = variable.unit
+    for name in problem.views.peaks:
+        for found in peak_names(name):
+            take(found, "one of `peaks` of the views")
+    for variable in dispersion_variables(problem.views):
+        take(variable.name, "one of `dispersion` of the views")

@@ -32,7 +32,7 @@ _BLOCK = 2000  # pieces that are computed at once
 _PERCENT = 0.01
 
 
-def _dispersion_variables(views: Any) -> tuple[Variable, ...]:
+def dispersion_variables(views: Any) -> tuple[Variable, ...]:
     """Return the two results of each disturbance, as variables."""
     asked: Dispersion | None = views.dispersion
     if asked is None:
@@ -50,7 +50,7 @@ def _dispersion_variables(views: Any) -> tuple[Variable, ...]:
 
 def dispersion(solution: Any) -> tuple[tuple[Variable, ...], list[float]]:
     """Return the requested results of a flight, and their values: metres along the track and to the left of it."""
-    variables, problem = _dispersion_variables(solution.problem.views), solution.problem
+    variables, problem = dispersion_variables(solution.problem.views), solution.problem
     if not variables:
         return (), []
     with np.errstate(all="ignore"):  # a file may hold values with which nothing can be computed

@@ -24,12 +24,18 @@ def peaks(solution: Any) -> tuple[list[Variable], list[float]]:
             since += flown.duration
         what = "largest along the flight" + (f": {of.description}" if of.description else "")
         label = f"peak {of.label}" if of.label else ""
+        largest, at = peak_names(name)
         variables += [
-            Variable(name=f"peak_{name}", unit=of.unit, description=what, label=label),
-            Variable(name=f"peak_{name}_time", unit="s", description="time from the start of the flight"),
+            Variable(name=largest, unit=of.unit, description=what, label=label),
+            Variable(name=at, unit="s", description="time from the start of the flight"),
         ]
         values += best
     return variables, values
+
+
+def peak_names(name: str) -> tuple[str, str]:
+    """Return the names of the largest value of a quantity, and of its time."""
+    return f"peak_{name}", f"peak_{name}_time"
 
 
 def _largest(solution: Any, k: int, name: str, duration: float) -> tuple[float, float]:
