@@ -86,7 +86,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     flown = [row for row in rows if row["class"] != "refused"]
     proved = [row for row in flown if row["class"] == PROVED]
     yield f"{PROVED}: {len(proved)} of {len(flown)} not refused, {100 * len(proved) / max(len(flown), 1):.2f} %"
-    yield f"rungs {dict(Counter(row['rung'] for row in proved))}"
+    yield f"rungs {dict(Counter(row['initialization'] for row in proved))}"
     took = np.array([row["cpu"] for row in rows])
     yield f"processor time: median {np.median(took):.2f} s, longest {took.max():.1f} s, {took.sum():.0f} s in all"
 

@@ -243,7 +243,7 @@ def told_of(solution: Solution) -> dict[str, Any]:
     proof = solution.verification
     row = {
         "objective": solution.objective,
-        "rung": solution.statistics.initialization,
+        "initialization": solution.statistics.initialization,
         "active": sorted(nearly_active_conditions(solution)),
     }
     row |= {"feasible": True, "class": PROVED, "why": ""}
@@ -267,7 +267,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     wall, cpu = (np.array([row[name] for row in rows]) for name in ("wall", "cpu"))
     yield f"{len(rows) - len(feasible)} that no method flies; {len(feasible)} feasible"
     yield f"{PROVED}: {len(proved)} of these, {100 * len(proved) / max(len(feasible), 1):.1f} %"
-    yield f"rungs {dict(Counter(row['rung'] for row in proved))}; touched {dict(active)}"
+    yield f"rungs {dict(Counter(row['initialization'] for row in proved))}; touched {dict(active)}"
     for name, took in (("wall clock", wall), ("processor", cpu)):
         yield f"{name} of each: median {np.median(took):.1f} s, longest {took.max():.1f} s"
 

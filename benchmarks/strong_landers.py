@@ -106,7 +106,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
             yield f"{start}, floor {'above 0' if floored else '0'}: {ends}"
     proved = [row for row in rows if row["class"] == PROVED]
     yield f"{PROVED}: {len(proved)} of {len(rows)}, {100 * len(proved) / max(len(rows), 1):.1f} %"
-    yield f"rungs {dict(Counter(row['rung'] for row in proved))}"
+    yield f"rungs {dict(Counter(row['initialization'] for row in proved))}"
     took = np.array([row["cpu"] for row in rows])
     p50, p99 = np.percentile(took, (50, 99))
     yield f"processor time: median {p50:.2f} s, p99 {p99:.2f} s, longest {took.max():.2f} s, {took.sum():.0f} s in all"

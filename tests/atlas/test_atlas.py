@@ -395,7 +395,7 @@ def test_comparisons_are_looked_at_within_a_region_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"stated": 3}, {"stated": [3]}, {"stated": [{"name": "a"}]}, {"stated": []}, {"values": {}},
+        {"findings": 3}, {"findings": [3]}, {"findings": [{"name": "a"}]}, {"findings": []}, {"values": {}},
         {"values": {"instructions": [["p", "other"]], "outputs": [0] * 4}},
     ],
     ids=["no list", "no records", "no side", "too few", "no tape", "no parameter"],
@@ -404,7 +404,7 @@ def test_comparisons_of_another_hand_are_refused(change: dict[str, Any]) -> None
     problem = replace(cho_landing(), preflight=away)
     document = comparisons_document(problem, [{}])
     assert len(pl.preflight(problem.changed(preflight=read_comparisons(document, problem)))) == 2
-    older = {**document, "stated": [{n: v for n, v in f.items() if n != "lasting"} for f in document["stated"]]}
+    older = {**document, "findings": [{n: v for n, v in f.items() if n != "lasting"} for f in document["findings"]]}
     assert read_comparisons(older, problem).found == read_comparisons(document, problem).found
     with pytest.raises(PeriluneError, match="comparisons"):
         read_comparisons({**document, **change}, problem)

@@ -125,7 +125,7 @@ def test_a_solve_that_fails_says_and_saves_what_was_tried(
             "no solution was found",
             got="touchdown_altitude 12 m",
             advice="raise vehicle.thrust",
-            partial={"residuals": {"touchdown_altitude": 12.0, "worst": float("nan")}, "tried": ["one"]},
+            partial={"residuals": {"touchdown_altitude": 12.0, "worst": float("nan")}, "attempts": ["one"]},
         )
 
     answer_with(monkeypatch, fails)

@@ -468,8 +468,8 @@ def test_a_stranger_cannot_hide_what_was_needed(saved: dict[str, Any], tmp_path:
     """A wrong answer with room made for it is called what it is, and beyond a thousandth of the flight not proved."""
     for metres, proved in ((1.0, True), (10.0, False), (1e9, False)):
         stated = {"position": {"value": metres, "unit": "m"}}
-        claims = {**saved["verification"], "within": "", "tolerance": stated, "checks": []}
-        document = {**saved, "within": "", "verification": claims}
+        claims = {**saved["verification"], "tolerance_used": "", "tolerance": stated, "checks": []}
+        document = {**saved, "tolerance_used": "", "verification": claims}
         (tmp_path / SOLUTION_FILE).write_text(json.dumps(document), encoding="utf-8")
         found = pl.verify(pl.load(tmp_path), 1)
         assert (found.outcome is Outcome.PROVED) == proved

@@ -245,5 +245,5 @@ class PointSolver:
         """
         its, steps = slice(lane, lane + 1), int(found.steps[lane])
         root = self.open.root(found.y[its], found.choice[its], found.residual[its], found.cost[its])
-        statistics = Statistics(rung="guess", iterations=steps, arcs=steps + 1)
+        statistics = Statistics(initialization="guess", iterations=steps, arcs=steps + 1)
         return self.open.solution(problem, [ExtremalRoot(root=root, minimum=True)], statistics)

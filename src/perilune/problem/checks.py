@@ -142,7 +142,7 @@ def rows_out_of_range(problem: Any, names: Sequence[str], values: Matrix) -> NDA
         if name in problem.duration_names:
             refused |= values[:, k] <= 0.0
     own = vars(problem.parameters({}))
-    for declared in problem.declared:
+    for declared in problem.records:
         if not any(parameter in declared_parameters(declared) for parameter in names):
             continue
         for i in np.nonzero(~refused)[0].tolist():
