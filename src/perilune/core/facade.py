@@ -40,8 +40,11 @@ def import_of_face(package: str, name: str) -> Any:
     if name not in (found := face_imports(package)):
         raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=sys.modules[package])
     home, own = found[name]
-    if home != package and hasattr(module := import_module(home), own):
-        return getattr(module, own)
+    if home != package:
+        if (value := getattr(sys.modules.get(home), own, None)) is not None:
+            return value
+        if hasattr(module := import_module(home), own):
+            return getattr(module, own)
     return import_module(f"{home}.{own}")
 
 
