@@ -101,13 +101,15 @@ def test_a_refusal_has_its_code_and_its_parts(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_level_of_the_library_may_be_asked_for() -> None:
+def test_every_level_of_the_library_may_be_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     assert options.THEOREM == LEVELS[-1]
     for words in (["solve", HYBRID], ["sweep", HYBRID, "--vary", "a=1:2:1 N"], ["verify", "there"]):
         assert parse_command_line([*words, "--level", str(LEVELS[-1])]).level == LEVELS[-1]
     for words in (["export", "there", "--out", "x.nc"], ["atlas", "query", "there"]):
         for flag in ("--verify", "--prove"):  # the name of it until the next minor version
             assert parse_command_line([*words, flag, str(LEVELS[-1])]).verify == LEVELS[-1]
+            said = "warning: --prove is --verify now; the old name goes with the next minor version\n"
+            assert capsys.readouterr().err == (said if flag == "--prove" else "")
         assert parse_command_line(words).verify == 0
 
 

@@ -188,7 +188,7 @@ load_any: Any = load_file
         ),
         (
             lambda: replace(DESCENT, end=cast("Any", len)),
-            ("not the end of a phase", 'Conditions(function, altitude="m", ...)'),
+            ("not a valid value of `end` of a phase", 'Conditions(function, altitude="m", ...)'),
         ),
         (lambda: pl.Conditions(len), ("Conditions names no value", 'altitude="m"')),
         *(

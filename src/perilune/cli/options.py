@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from perilune import PeriluneError
+from perilune.cli.output import print_to_stderr
 
 
 def integer_in_range(least: int, most: int | None = None) -> Callable[[str], int]:
@@ -117,7 +118,17 @@ def verify_options(what: str, otherwise: str = "") -> tuple[Option, Option]:
     help_ = f"{what}, to level 1 to {THEOREM}{otherwise}; 0 (default) for none."
     settings: dict[str, Any] = {"metavar": "LEVEL", "type": integer_in_range(0, THEOREM), "default": 0}
     named = option("--verify", help=help_, **settings)
-    return named, option("--prove", dest="verify", help=argparse.SUPPRESS, **settings)  # until the next minor version
+    return named, option("--prove", dest="verify", help=argparse.SUPPRESS, action=_OldOption, **settings)
+
+
+class _OldOption(argparse.Action):
+    """Old name of an option, which is told on stderr; until the next minor version."""
+
+    def __call__(
+        self, parser: Any, namespace: argparse.Namespace, values: Any, option_string: str | None = None
+    ) -> None:
+        print_to_stderr(f"warning: {option_string} is --{self.dest} now; the old name goes with the next minor version")
+        setattr(namespace, self.dest, values)
 
 
 FILE = option("file", metavar="FILE", type=Path, help="Scenario in TOML; `perilune new` writes one.")

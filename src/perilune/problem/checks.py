@@ -46,7 +46,7 @@ def check_parts(problem: Any) -> None:
     require_row(problem.phases, "phases", Phase)
     require_row(problem.links, "links", Callable)
     require_row(problem.free, "free parameters", FreeParameter)
-    require_named(problem.results, Quantities, "the results of a problem")
+    require_named(problem.results, Quantities, "a valid value of `results` of a problem")
     for name, kind, advice in (
         ("given", Mapping, 'given={"mass": pl.Parameter(value=300.0, unit="kg")}'),
         ("records", Sequence, ""),

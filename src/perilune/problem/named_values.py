@@ -149,7 +149,7 @@ def require_named(values: Any, kind: type[NamedValues], what: str) -> None:
     values, kind
         The value, and the record that it has to be.
     what
-        Its use, for the message: "the end of a phase".
+        Its use, for the message: "a valid value of `end` of a phase".
 
     Raises
     ------

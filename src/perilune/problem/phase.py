@@ -84,7 +84,7 @@ class Phase(ShownPhase):
         require_row(self.controls, "controls", *get_args(Control))
         require_row(self.states, "states", Variable)
         for name in _NAMED:
-            require_named(getattr(self, name), PAIRS[name][1], f"the {name} of a phase")
+            require_named(getattr(self, name), PAIRS[name][1], f"a valid value of `{name}` of a phase")
 
     @property
     def state_names(self) -> tuple[str, ...]:
