@@ -264,7 +264,8 @@ class StructureRefinement:
 
         restated = restate(self.problem, structure, repeated=False)
         guess, failure, found = split_solution(rough, structure, restated), None, False
-        if (pair := structure.begun_pair(self.problem)) is not None:
+        # A neighbour begins next to its own extremal, which has the pair.
+        if not is_neighbour(self.problem) and (pair := structure.begun_pair(self.problem)) is not None:
             self.watch("structure: a new pair of switches")
             search = Search(self.settings, guess.problem, self.watch)
             if (solved := with_pair(search, guess, pair)) is not None:
