@@ -13,7 +13,14 @@ from perilune import Outcome, PeriluneError, Problem, Solution
 from perilune.families.batch import Batch
 from perilune.families.points import read_points
 from perilune.families.solve_many import solve_many
-from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham, timed_bryson_denham_truth
+from problems.constrained import (
+    bryson_denham,
+    bryson_denham_truth,
+    speed_limit,
+    speed_limit_truth,
+    timed_bryson_denham,
+    timed_bryson_denham_truth,
+)
 from problems.landings import constant_mass
 
 THRUSTS = np.linspace(400.0, 480.0, 7)
@@ -156,6 +163,15 @@ def test_forms_of_points_are_the_same(landing: Problem, known: Solution) -> None
     assert all(batch.parameters == ("vehicle_thrust",) for batch in found)
     for batch in found[1:]:
         assert batch.objective == pytest.approx(found[0].objective, rel=1e-12)
+
+
+def test_slopes_of_a_limit_and_of_a_bound_are_apart() -> None:
+    """Gravity moves the thrust along the speed limit, and the bounds of thrust do not, although they vary with it."""
+    problem, h = speed_limit(60.0), 1e-4
+    names = ("g", "least", "limit")
+    batch = solve_many(problem, [{name: problem.given[name].value for name in names}])
+    more, less = (speed_limit_truth(60.0, g=1.62 + way * h)[2] for way in (1, -1))
+    assert batch.slopes[0, 0] == pytest.approx((less - more) / (2 * h), rel=1e-7)
 
 
 def test_values_that_are_hidden_or_no_numbers_refuse_their_points(landing: Problem) -> None:

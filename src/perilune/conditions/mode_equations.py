@@ -164,9 +164,16 @@ def mode_equations(
     def moving(control: ca.SX, held: Held, regimes: tuple[Regime, ...]) -> ca.SX:
         """Return z' as an expression of u; `control` is the one of these regimes."""
         # A limit that is a free parameter moves the control with it.
-        slope = _slope_through_limits(hamiltonian, u, control, symbols.bounds, symbols.q)
+        slope, holds = ca.SX.zeros(symbols.q.numel(), 1), symbols.held_values(held)
+        if ca.depends_on(symbols.bounds, symbols.q):
+            pressure = ca.gradient(hamiltonian, u)
+            if holds:  # what a condition does to the control is in its multiplier already
+                mu = active_constraint_multipliers(phase, hamiltonian, u, holds, regimes)
+                pressure -= ca.jtimes(ca.vertcat(*holds), u, mu, True)
+            # On a bound it is its multiplier; between bounds it vanishes, and along a sphere it is tangent to nothing.
+            slope = ca.mtimes(ca.jacobian(control, symbols.q).T, pressure)
         pull = ca.vertcat(ca.SX.zeros(symbols.state_count, 1), slope)
-        pull -= multiplier_term(phase, hamiltonian, u, symbols.held_values(held), states, regimes)
+        pull -= multiplier_term(phase, hamiltonian, u, holds, states, regimes)
         return ca.vertcat(f, ca.SX.zeros(len(symbols.constants), 1), -gradient - pull)
 
     motion = Motion(z=z, rate=lambda control, *mode: ca.substitute(moving(control, *mode), u, control))
@@ -207,11 +214,3 @@ def _constraints_by_name(function: str, phase: Phase, x: ca.SX, u: ca.SX, p: Par
     """Return path or held conditions by name."""
     values = column(phase.evaluate(function, elements(x), elements(u), p.record, SYMBOLIC))
     return {c.name: values[i] for i, c in enumerate(getattr(phase, f"{function}_conditions"))}
-
-
-def _slope_through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX, q: ca.SX) -> ca.SX:
-    """Return dH/dq through a control that sits at a limit which depends on the free parameters q."""
-    if not ca.depends_on(bounds, q):
-        return ca.SX.zeros(q.numel(), 1)
-    # On a bound dH/du is its multiplier; between bounds it vanishes, and along a sphere it is tangent to nothing.
-    return ca.mtimes(ca.jacobian(control, q).T, ca.gradient(hamiltonian, u))
