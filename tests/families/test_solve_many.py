@@ -181,7 +181,7 @@ def test_values_that_are_hidden_or_no_numbers_refuse_their_points(landing: Probl
         pandas.Series([430, None], dtype="Int64", index=[7, 7]),
     ]  # fmt: skip
     for column in columns:
-        refused = read_points(landing, {"vehicle.thrust": column}).refused
+        refused = read_points(landing, {"vehicle.thrust": column}).unreadable
         assert list(refused) == [1] and refused[1].startswith("vehicle_thrust is no finite number")
 
 
