@@ -154,6 +154,7 @@ def test_points_are_proved_on_demand(landing: Problem, known: Solution) -> None:
 def test_forms_of_points_are_the_same(landing: Problem, known: Solution) -> None:
     pandas = pytest.importorskip("pandas")
     forms: list[Any] = [
+        np.array([(thrust,) for thrust in THRUSTS], dtype=[("vehicle_thrust", float)]),
         {"vehicle_thrust": THRUSTS},
         {"vehicle.thrust [kN]": THRUSTS / 1e3},
         [{"vehicle.thrust": thrust} for thrust in THRUSTS],

@@ -71,7 +71,7 @@ def read_points(problem: Problem, points: Points) -> PointTable:
             )
         values[:, k] = factors[k] * _numbers(column)
         for i in np.nonzero(~np.isfinite(values[:, k]))[0].tolist():
-            what = "is missing" if i in gaps.get(heading, ()) else f"is no finite number: got {str(column[i])[:40]}"
+            what = "is missing" if i in gaps.get(heading, ()) else f"is no finite number: got {_shown(column[i])}"
             unreadable.setdefault(i, f"{names[k]} {what}")
     return PointTable(names=tuple(names), values=values, unreadable=unreadable)
 
@@ -80,8 +80,8 @@ def _columns(points: Points) -> tuple[Mapping[str, Any], Mapping[str, set[int]]]
     """Return the columns of points, and for each the numbers of the points in which it is missing."""
     if isinstance(points, Mapping):
         named = {str(name): _plain(points[name]) for name in points}
-    elif hasattr(points, "columns") and hasattr(points, "__getitem__"):
-        named = {str(name): np.asarray(points[name]) for name in points.columns}
+    elif (names := _column_names(points)) is not None:
+        named = {str(name): np.asarray(points[name]) for name in names}
     elif isinstance(points, str) or not isinstance(points, Iterable):
         raise wrong_type_error(points, _FORM, "a valid set of points")
     else:
@@ -96,6 +96,21 @@ def _columns(points: Points) -> tuple[Mapping[str, Any], Mapping[str, set[int]]]
         if isinstance(column, str) or not hasattr(column, "__len__") or _dimensions(column) != 1:
             raise wrong_type_error(column, "a list of numbers", f"a valid column {name}")
     return named, {}
+
+
+def _column_names(points: Any) -> Sequence[Any] | None:
+    """Return the names of the columns of a frame of pandas or polars, a table of Arrow or a structured array."""
+    kind = getattr(points, "dtype", None)
+    return next(
+        (names for names in (getattr(points, "column_names", None), getattr(points, "columns", None),
+                             getattr(kind, "names", None)) if names is not None),
+        None,
+    )  # fmt: skip
+
+
+def _shown(value: Any) -> str:
+    """Return a value for a message; a text in quotes, as a number in it would look like one."""
+    return (repr(value) if isinstance(value, str) else str(value))[:40]
 
 
 def _plain(column: Any) -> Any:

@@ -12,7 +12,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.charts import PointSolver, point_feasibility
+from perilune.charts import Allowed, PointSolver, point_feasibility
 from perilune.core import (
     NotConvergedError,
     Outcome,
@@ -70,8 +70,8 @@ def solve_many(
     verify
         Verification level of each point, as of `perilune.solve.solve`. It takes much longer than the solving.
     search
-        False to leave the points that the lanes do not reach unsolved: they may take a second each, or ten where
-        nothing can land.
+        False to leave the points that the lanes do not reach unsolved: they may take a second each, or half a minute
+        where nothing can land.
     callback
         Receives lines of text, ``... of N points``.
     time_limit
@@ -117,7 +117,6 @@ class _Work:
         """Solve everything, or until the user stops it."""
         stopped = False
         try:
-            self.screen()
             self.solve_in_lanes(say)
             if search:
                 self.solve_around_nodes(say, limit)
@@ -128,24 +127,28 @@ class _Work:
             stopped = True
         return self.batch(stopped)
 
-    def screen(self) -> None:
-        """Refuse points whose values are none of the problem, or that physics forbids."""
-        left = np.nonzero(self.codes == _UNSOLVED)[0]
-        refused = rows_out_of_range(self.problem, self.names, self.values[left])
-        self.codes[left[refused]] = OUTCOMES.index(Outcome.REFUSED)
-        left = left[~refused]
-        if len(left):
-            allowed = point_feasibility(self.problem, self.names)(self.values[left])
-            self.codes[left[~allowed]] = OUTCOMES.index(Outcome.INFEASIBLE)
-
     def solve_in_lanes(self, say: Callable[[str], None]) -> None:
-        """Solve what the lanes reach from the known solution."""
+        """Refuse what cannot be flown, and solve what the lanes reach from the known solution."""
+        allowed, solver = point_feasibility(self.problem, self.names), None
         try:
             solver = PointSolver(self.problem, self.known, self.names)
         except PeriluneError as error:
             say(f"every point is solved alone: {error.what}")
-            return
-        self._solve_part(solver, np.nonzero(self.codes == _UNSOLVED)[0], say)
+        readable = np.nonzero(self.codes == _UNSOLVED)[0]
+        for start in range(0, len(readable), _TOGETHER):
+            some = self._screened(readable[start : start + _TOGETHER], allowed)
+            if solver is not None:
+                self._solve_part(solver, some)
+            say(f"{min(start + _TOGETHER, len(readable))} of {len(readable)} points")
+
+    def _screened(self, points: NDArray[np.int64], allowed: Allowed) -> NDArray[np.int64]:
+        """Return the points whose values are some of the problem and not forbidden by physics; refuse the others."""
+        refused = rows_out_of_range(self.problem, self.names, self.values[points])
+        self.codes[points[refused]] = OUTCOMES.index(Outcome.REFUSED)
+        points = points[~refused]
+        flies = allowed(self.values[points]) if len(points) else np.zeros(0, dtype=bool)
+        self.codes[points[~flies]] = OUTCOMES.index(Outcome.INFEASIBLE)
+        return points[flies]
 
     def solve_around_nodes(self, say: Callable[[str], None], limit: float) -> None:
         """Solve nodes of the lattice around the known solution anew, and from each the points near it that are left.
@@ -165,18 +168,18 @@ class _Work:
             except PeriluneError:
                 continue
             if known.outcome is Outcome.PROVED:
-                self._solve_part(solver, left[which.reshape(-1) == number], ignore_events)
+                near = left[which.reshape(-1) == number]
+                for start in range(0, len(near), _TOGETHER):
+                    self._solve_part(solver, near[start : start + _TOGETHER])
 
-    def _solve_part(self, solver: PointSolver, lanes: NDArray[np.int64], say: Callable[[str], None]) -> None:
-        """Solve points from the solution of a solver, and enter what it finds."""
-        for start in range(0, len(lanes), _TOGETHER):
-            some = lanes[start : start + _TOGETHER]
-            found = solver.solve(self.values[some])
+    def _solve_part(self, solver: PointSolver, points: NDArray[np.int64]) -> None:
+        """Solve points together from the solution of a solver, and enter what it finds."""
+        if len(points):
+            found = solver.solve(self.values[points])
             its = np.nonzero(found.found)[0]
-            self.codes[some[its]] = OUTCOMES.index(Outcome.SOLVED)
+            self.codes[points[its]] = OUTCOMES.index(Outcome.SOLVED)
             if len(its) or not self.parts:
-                self.parts.append(BatchPart(solver, some[its], found.of(its)))
-            say(f"{min(start + _TOGETHER, len(lanes))} of {len(lanes)} points")
+                self.parts.append(BatchPart(solver, points[its], found.of(its)))
 
     def _problem_at(self, values: Vector) -> Problem:
         return self.problem.with_given(**dict(zip(self.names, values.tolist(), strict=True)))
