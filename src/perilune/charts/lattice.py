@@ -82,7 +82,15 @@ class SheetLattice:
         self._edges = [_EDGE * _FINER**level * open_chart.chart.widths for level in range(levels)]
 
     def nearest(self, values: Matrix, level: int) -> Matrix:
-        """Return the values of the parameters at the node of a level next to each of some, canonical, (lanes, d)."""
+        """Return the values of the parameters at the node next to each of some, (lanes, d), canonical.
+
+        Parameters
+        ----------
+        values
+            Values of the parameters, canonical, (lanes, d).
+        level
+            Level of the lattice, 0 for the coarsest.
+        """
         start, edges = self._first.values, self._edges[level]
         return start + np.rint((values - start) / edges) * edges
 

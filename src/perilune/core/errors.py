@@ -65,7 +65,15 @@ class Partial(dict[str, Any]):
         return self._by_old_name(key)
 
     def get(self, key: str, default: Any = None) -> Any:
-        """Return the entry of a name, or of its old one."""
+        """Return the entry of a name, or of its old one.
+
+        Parameters
+        ----------
+        key
+            The name.
+        default
+            What is returned where there is no entry.
+        """
         if key in self or self._RENAMED.get(key) not in self:
             return super().get(key, default)
         return self._by_old_name(key)

@@ -36,7 +36,15 @@ def face_imports(package: str) -> dict[str, tuple[str, str]]:
 
 
 def import_of_face(package: str, name: str) -> Any:
-    """Import what a package offers by this name."""
+    """Import what a package offers by this name.
+
+    Parameters
+    ----------
+    package
+        Full name of the package.
+    name
+        Name that its face offers.
+    """
     if name not in (found := face_imports(package)):
         raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=sys.modules[package])
     home, own = found[name]

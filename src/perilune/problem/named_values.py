@@ -69,7 +69,15 @@ class NamedValues:
 
     @classmethod
     def of(cls, function: Physics | None, variables: Iterable[Variable]) -> Self | None:
-        """Return the record of a function and the variables of its values; None where there are none."""
+        """Return the record of a function and the variables of its values; None where there are none.
+
+        Parameters
+        ----------
+        function
+            Returns the values; None where there are no variables.
+        variables
+            One for each value, in order.
+        """
         named = tuple(variables)
         return cls(function, *named) if named else None  # type: ignore[arg-type]  # None is refused
 

@@ -12,7 +12,15 @@ _HEAD = f"{'ignition':>21} {'landing':>10}  {'pass':10} {'off the plane':>22} {'
 
 
 def opportunities_answer(found: Sequence[Opportunity], *, every: bool) -> tuple[dict[str, Any], str]:
-    """Return a document for programs with all passes, and a table of those that can be flown, or of all."""
+    """Return a document for programs with all passes, and a table of those that can be flown, or of all.
+
+    Parameters
+    ----------
+    found
+        The passes, in the order of time.
+    every
+        True for a table of all of them.
+    """
     return _opportunities_document(found), _opportunities_text(found, every=every)
 
 

@@ -173,7 +173,15 @@ def _follows_from_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
 
 
 def contacts_in_phase(solution: Solution, k: int) -> list[Contact]:
-    """Return where conditions of phase k on states only are at their limits on the way."""
+    """Return where conditions of phase k on states only are at their limits on the way.
+
+    Parameters
+    ----------
+    solution
+        An answer without arcs.
+    k
+        Number of the phase.
+    """
     return [c for name in state_conditions(solution.problem, k) for c in _find_contacts(solution, k, name)]
 
 

@@ -204,7 +204,15 @@ class HoppingStructure:
 
     @classmethod
     def of(cls, problem: Problem, structure: Structure) -> HoppingStructure:
-        """Replace the boundary arcs of a structure of the user's problem."""
+        """Replace the boundary arcs of a structure of the user's problem.
+
+        Parameters
+        ----------
+        problem
+            The user's problem.
+        structure
+            Its arcs.
+        """
         phases, hopped = [], list[tuple[int, str]]()
         for k, arcs in enumerate(structure.phases):
             known, last = list(_structure_contacts(structure, k)), arcs[-1].until

@@ -112,6 +112,13 @@ def with_bound_regimes(solution: Solution, structure: Structure) -> Structure:
     """State the regime of scalars that keep boundary arcs, and are on one bound along each other arc.
 
     Where such an arc meets the boundary arc the slope of H vanishes, so that rounding decides if there is a switch.
+
+    Parameters
+    ----------
+    solution
+        Answer that consists of the arcs.
+    structure
+        The arcs.
     """
     phases = list(structure.phases)
     for k, arcs in enumerate(structure.phases):

@@ -97,7 +97,15 @@ class JoinedTrajectories(Deferred):
         self._names = [phase.name for phase in problem.phases]
 
     def refuse_unstated_ends(self, problem: Problem, varied: Collection[str] = ()) -> None:
-        """Refuse a problem of other values, or varied ones, at which an arc to the end no longer says what it did."""
+        """Refuse a problem of other values, or varied ones, at which an arc to the end no longer says what it did.
+
+        Parameters
+        ----------
+        problem
+            The user's problem at the other values.
+        varied
+            Names of parameters that vary from there.
+        """
         refuse_unstated_ends(self.restated.problem, problem, self.structure, varied)
 
     def _trajectories(self) -> tuple[Trajectory, ...]:

@@ -126,7 +126,15 @@ class Structure:
         return "; ".join(parts)
 
     def part_durations(self, problem: Problem, k: int) -> tuple[str, ...]:
-        """Return the names of the durations of the parts of phase k of the user's problem."""
+        """Return the names of the durations of the parts of a phase of the user's problem.
+
+        Parameters
+        ----------
+        problem
+            The user's problem.
+        k
+            Number of the phase.
+        """
         count, name = len(self.phases[k]), problem.phases[k].duration
         if count == 1:
             return (name,)
