@@ -2,7 +2,7 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/many_points.py [--points 10000] [--spread 0.1]
 
-Together is `perilune.solve_many` with its set-up and second flights; one by one is ``solve(guess=...)`` at level 0,
+Together is `perilune.solve_many` with its set-up and re-integrations; one by one is ``solve(guess=...)`` at level 0,
 which has none, on 50 of the same points.
 """
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +150,7 @@ def test_places_that_a_query_refuses_are_counted_and_said(
     found = read_json(capsys.readouterr().out)
     assert found["drawn"] == found["proved"] == 2 and found["share"] == assured_share(2, 2)
     assert found["refused"] == len(found["refusals"]) == 1 and found["refusals"][0].endswith(" N: no answer here")
-    told = str(AtlasVerification(**{name: found[name] for name in AtlasVerification.__dataclass_fields__}))
+    told = str(AtlasVerification(**{name: found[name] for name in (f.name for f in fields(AtlasVerification))}))
     assert "of 3 places that were drawn, a query refuses 1" in told and found["refusals"][0] in told
     asked.clear()
     build(cho_landing(), THRUST, copy, sample=4)

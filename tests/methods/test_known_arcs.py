@@ -51,7 +51,7 @@ def test_known_arcs_are_neither_read_nor_restated(touching: Solution, monkeypatc
     assert solution.statistics.initialization == from_curves.statistics.initialization == "structure"
     assert solution.statistics.attempts == from_curves.statistics.attempts
     (arc,), (other,) = solution.structure, from_curves.structure
-    assert (arc.description, arc.begin) == (other.words, pytest.approx(other.begin, abs=1e-12))
+    assert (arc.description, arc.begin) == (other.description, pytest.approx(other.begin, abs=1e-12))
     times = from_curves.trajectories[0].time
     reached = [s.trajectories[0].state(times) for s in (solution, from_curves)]
     assert reached[0] == pytest.approx(reached[1], abs=1e-11)

@@ -414,7 +414,9 @@ def test_a_family_of_landings_touches_its_slope() -> None:
     found = [point.solution for point in family.points]
     assert all(solution is not None and solution.outcome is Outcome.PROVED for solution in found)
     assert all(
-        "contact point of height above glide slope" in solution.structure[1].words for solution in found if solution
+        "contact point of height above glide slope" in solution.structure[1].description
+        for solution in found
+        if solution
     )
     spent = [solution.results["propellant"].value for solution in found if solution]
     assert spent == sorted(spent)
@@ -427,4 +429,4 @@ def test_a_touch_that_a_rough_mesh_does_not_lead_to_is_found_by_a_finer_one() ->
     approach = {"approach_east": -1843.0, "approach_up": 1045.0, "approach_up_speed": -32.4}
     problem = load_file(PRECISION).problem
     found = solve(problem.with_given(corridor_slope=0.42, **approach), verify=1)
-    assert found.outcome is Outcome.PROVED and "contact point" in found.structure[-1].words
+    assert found.outcome is Outcome.PROVED and "contact point" in found.structure[-1].description

@@ -117,7 +117,7 @@ def test_a_loaded_problem_is_proved_the_same(jump: Solution, tmp_path: Any) -> N
     loaded = pl.load(tmp_path / "push")
     again = pl.verify(loaded, level=3).verification
     assert again.level == 3
-    assert "expressions" in again.text
+    assert "expressions" in again.source
     assert arc_of(loaded).crossings[0].time == arc_of(jump).crossings[0].time
 
 

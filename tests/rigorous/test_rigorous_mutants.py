@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from functools import partial
 from math import pi
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -55,7 +56,7 @@ def mutated(name: str, old: str, new: str) -> Iterator[None]:
 Mutant = tuple[str, str, str]  # a file, a place in it, what stands there then
 _well = claims.test_another_minimum_of_h_that_is_lower_at_any_time_is_seen
 _side = claims.test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond
-_linked = optimum.test_a_link_at_a_harmless_place_moves_no_conjugate_point
+_linked = partial(optimum.test_a_link_at_a_harmless_place_moves_no_conjugate_point, monkeypatch=Mock())
 _bent = optimum.test_a_link_that_is_curved_weighs_against_what_lies_before
 _convex = claims.test_a_control_on_a_bound_is_the_least_where_h_is_convex_in_it
 _circle = claims.test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none
@@ -231,11 +232,11 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
                 ("second_order", 'graph.input(("nu", i)) * value',
                  'graph.input(("nu", i)) * value * (k == len(self.phases))'),
         }),
-        (optimum.test_end_conditions_that_are_called_alike_have_multipliers_of_their_own, {
+        (optimum.test_end_conditions_have_multipliers_of_their_own, {
             "multipliers by their names":
                 ("second_order", "nu.append(own)", 'nu.append(self.multipliers[k - 1][-1])'),
         }),
-        (partial(optimum.test_a_switch_is_a_minimum_in_its_time_and_the_control_together, 1.0, -0.25, 0.0), {
+        (partial(optimum.test_a_switch_is_a_minimum_in_its_time_and_the_control_together, 1.0, -0.25, 0.0, Mock()), {
             "times of switches left out":
                 ("second_order", 'for name in self.names if name not', 'for name in problem.free_names if name not'),
             "length of an arc left out of the last":

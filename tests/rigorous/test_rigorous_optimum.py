@@ -278,15 +278,15 @@ def test_the_end_of_a_phase_is_curved_where_another_follows(dropped: bool) -> No
     assert passed_by(1, dropped).proved and not passed_by(-1, dropped).proved
 
 
-def test_end_conditions_that_are_called_alike_have_multipliers_of_their_own() -> None:
+def test_end_conditions_have_multipliers_of_their_own() -> None:
     """The nearest and the farthest point of the circle again, and beside it to z = -1, whose multiplier is 1."""
     go = pl.Phase(
         name="go", states=variables("x", "y", "z", "c"), duration="T",
         controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v"), pl.ScalarControl(name="w")),
         dynamics=lambda x, u, p, xp: (*(own / p.T for own in u), sum(0.5 * own**2 / p.T for own in u)),
-        end=pl.Conditions(lambda x, p, xp: (x.x**2 + x.y**2 - 1, x.z + 1), *variables("same", "same")),
+        end=pl.Conditions(lambda x, p, xp: (x.x**2 + x.y**2 - 1, x.z + 1), *variables("distance", "depth")),
     )  # fmt: skip
-    stated = phases("alike", go, start=lambda p, xp: (p.half, 0.0, 0.0, 0.0), half=0.5)
+    stated = phases("two_ends", go, start=lambda p, xp: (p.half, 0.0, 0.0, 0.0), half=0.5)
     for side in (1, -1):
         speed, regimes = side - 0.5, dict.fromkeys("uvw", "interior")
         found = optimum(stated, [(0, regimes, "")], [-speed, 0.0, 1.0, 1.0, -speed / (2 * side), 1.0])

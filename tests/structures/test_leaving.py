@@ -98,7 +98,7 @@ def test_an_arc_that_pays_nowhere_is_a_touch(hop: Solution) -> None:
     ]
     assert hop.outcome is pl.Outcome.PROVED and hop.verification.level == 3
     [touch] = [arc for arc in hop.structure if "height" in arc.description]
-    assert touch.words == "contact point of height" and touch.begin == touch.end == pytest.approx(0.5, abs=1e-9)
+    assert touch.description == "contact point of height" and touch.begin == touch.end == pytest.approx(0.5, abs=1e-9)
     s = np.linspace(0.01, 0.49, 25)
     assert hop.trajectories[0].state(0.5 + s)[:, 0] == pytest.approx(HOP * (s * (0.5 - s)) ** 2 / 24, abs=1e-14)
     costate = hop.trajectories[0].costate

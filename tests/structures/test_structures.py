@@ -133,7 +133,7 @@ def test_the_constrained_brachistochrone() -> None:
     assert whole.objective == pytest.approx(least, abs=1e-9)
     assert whole.free == pytest.approx({"T": least}, abs=1e-9)
     ends = np.cumsum([t.duration for t in solution.trajectories])
-    assert [(a.words, a.begin, a.end) for a in whole.structure] == [("along above", *ends[:2])]
+    assert [(a.description, a.begin, a.end) for a in whole.structure] == [("along above", *ends[:2])]
     assert ends[:2] == pytest.approx([entered, left], abs=1e-3)
     assert pl.verify(whole, level=1).verification.passed
     exact = pl.Indirect().run(guess.problem, solution)
@@ -186,7 +186,7 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path:
     powers = [arc for arc in solution.structure if arc.description.startswith("T ")]
     assert {arc.description for arc in powers} == {"T at its upper bound", "T at its lower bound"}
     assert powers[0].begin == 0.0 and powers[-1].end == pytest.approx(solution.free["flight_time"])
-    assert all(a.end == b.begin and a.words != b.words for a, b in itertools.pairwise(powers))
+    assert all(a.end == b.begin and a.description != b.description for a, b in itertools.pairwise(powers))
     assert format_arcs(solution.structure).count("contact point of glide at 32.83 s") == 1
     kept = solution.structure
     for k in range(2):  # saved, and for programs

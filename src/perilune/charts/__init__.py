@@ -1,7 +1,7 @@
-"""Extremals as smooth functions of parameters: many at once, in lanes, each flown again by another integrator.
+"""Extremals as smooth functions of parameters: many at once, in lanes, each integrated again by another integrator.
 
 A `Chart` has the extremals of one arc sequence over some parameters, `Borders` the bounds within which they are
-answers, `ChartReintegration` the independent second flight, and `OpenChart` brings guesses to answers and solutions.
+answers, `ChartReintegration` the independent re-integration, and `OpenChart` brings guesses to answers and solutions.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Extremals at many points from one solution, in lanes, each flown again by an independent integrator.
+"""Extremals at many points from one solution, in lanes, each integrated again by another integrator.
 
 A point begins on the tangent plane of the nearest node of a lattice around the known extremal; where Newton's method
 does not lead on from there, on that of a finer one. Extremals that hold one bound more or less than the known one are

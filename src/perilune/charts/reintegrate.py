@@ -1,4 +1,4 @@
-"""Second flight of an extremal, an independent re-integration by Gragg's extrapolated midpoint rule of order 8.
+"""Independent re-integration of an extremal by Gragg's extrapolated midpoint rule of order 8.
 
 The machine code of shooting uses Dormand and Prince's pair of order 8 with adaptive steps. Here the canonical equations
 are integrated in equal steps by extrapolation of Gragg's midpoint rule to order 8, from the unknowns only, and the

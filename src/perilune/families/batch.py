@@ -59,7 +59,7 @@ class Batch:
     codes
         Outcome of each point, as a place in ``tuple(perilune.Outcome)``; see `outcomes`.
     levels
-        Verification level that each answer reached; 0 where only the second flight of the lanes is known.
+        Verification level that each answer reached; 0 where only the independent re-integration of the lanes is known.
     objective
         J [SI], (points,).
     free, results

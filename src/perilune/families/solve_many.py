@@ -1,6 +1,6 @@
-"""`solve_many`: solve one problem at very many values of its parameters, each answer with a second flight.
+"""`solve_many`: solve one problem at very many values of its parameters, each answer integrated twice.
 
-Points are reached from one known extremal in lanes of machine code (`perilune.charts`), and flown again by another
+Points are reached from one known extremal in lanes of machine code (`perilune.charts`), and integrated again by another
 integrator. What the lanes do not reach, as where the optimal flight has other arcs, is solved alone.
 """
 
@@ -248,7 +248,7 @@ class _Work:
 
 
 def _solved_alone(problem: Problem, known: Solution, level: int, limit: float) -> Solution:
-    """Return the answer of a search from nothing, or that near the known solution where it finds none."""
+    """Return the answer of a search without a guess, or that near the known solution where it finds none."""
     try:
         return solve(problem, verify=level, time_limit=limit)
     except NotConvergedError:
