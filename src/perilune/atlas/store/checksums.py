@@ -10,7 +10,8 @@ from typing import Any
 from perilune.io import finite
 
 FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 7}
-KNOWN_FORMATS = ({**FORMAT, "version": 6}, FORMAT)  # the first with other keys (`perilune.problem.renamed_keys`)
+# The first has other keys (`perilune.problem.renamed_keys`).
+KNOWN_FORMATS: tuple[dict[str, str | int], ...] = ({**FORMAT, "version": 6}, FORMAT)
 CHECKSUM = "sha256"  # of all else in the header
 
 
