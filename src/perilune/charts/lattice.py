@@ -48,19 +48,25 @@ class LatticeNodes:
 
     def otherwise(self, other: LatticeNodes) -> LatticeNodes:
         """Return the same with those of another, lane by lane, where there is no extremal."""
-        return LatticeNodes(*(
-            np.where(self.known.reshape(-1, *[1] * (own.ndim - 1)), own, getattr(other, f.name))
-            for f in fields(LatticeNodes) if (own := getattr(self, f.name)) is not None
-        ))  # fmt: skip
+        none, found = ~self.known, self.of(np.arange(len(self.cost)))
+        for f in fields(LatticeNodes):
+            getattr(found, f.name)[none] = getattr(other, f.name)[none]
+        return found
 
-    def predicted(self, values: Matrix) -> tuple[Matrix, Vector]:
-        """Return y and J on the tangent planes at values of the parameters, canonical, (lanes, d)."""
-        y, cost = self.y.copy(), self.cost.copy()
-        for k in range(values.shape[1]):  # axis by axis: a product of matrices rounds as its shape says
-            step = values[:, k] - self.values[:, k]
+    # Axis by axis: a product of matrices rounds as its shape says.
+    def unknowns_at(self, values: Matrix) -> Matrix:
+        """Return y on the tangent planes at values of the parameters, canonical, (lanes, d)."""
+        y = self.y.copy()
+        for k, step in enumerate((values - self.values).T):
             y += step[:, None] * self.slopes[:, k]
+        return y
+
+    def cost_at(self, values: Matrix) -> Vector:
+        """Return J on the tangent planes at values of the parameters, canonical, (lanes, d)."""
+        cost = self.cost.copy()
+        for k, step in enumerate((values - self.values).T):
             cost += step * self.cost_slopes[:, k]
-        return y, cost
+        return cost
 
 
 class SheetLattice:

@@ -135,7 +135,7 @@ class PointSolver:
         for number, lattice in enumerate(self._lattices[1:], 1):
             nodes = lattice(values)
             with np.errstate(invalid="ignore"):
-                better = nodes.predicted(values)[1] < found.cost + _ROUGH * (0.1 + np.abs(found.cost))
+                better = nodes.cost_at(values) < found.cost + _ROUGH * (0.1 + np.abs(found.cost))
             if (lanes := np.nonzero(nodes.known & (~found.found | better))[0]).size:
                 polished = self._polished(number, values[lanes], nodes.of(lanes))
                 found.put(lanes, self._extremals(polished))
@@ -149,7 +149,7 @@ class PointSolver:
         reached, with what J its tangent plane says.
         """
         found, left = self.none(len(values)), np.arange(len(values))
-        doubt = self._first.of(np.zeros(len(values), dtype=np.int64)).predicted(values)[1]
+        doubt = self._first.of(np.zeros(len(values), dtype=np.int64)).cost_at(values)
         for level in range(_LEVELS):
             if not left.size:
                 break
@@ -160,26 +160,25 @@ class PointSolver:
             polished = self._polished(0, values[some], nodes)
             found.put(some, self._extremals(polished))
             broken = np.where(polished.breaking, polished.cost, np.inf)
-            doubt[some] = np.where(polished.reached, broken, nodes.predicted(values[some])[1])
+            doubt[some] = np.where(polished.reached, broken, nodes.cost_at(values[some]))
             left = np.setdiff1d(left, some[polished.reached])
         return found, doubt
 
     def _polished(self, number: int, values: Matrix, nodes: LatticeNodes) -> Polished:
         """Return what Newton's method makes of the tangent planes of nodes of a sheet at values, canonical."""
-        which, guess = np.full(len(values), number), nodes.predicted(values)[0]
+        which, guess = np.full(len(values), number), nodes.unknowns_at(values)
         polished = self.open.polish(values, which, guess)
         if (poor := np.nonzero(polished.reached & polished.doubtful)[0]).size:  # flights longer than the known one
             polished.put(poor, self.open.polish(values[poor], which[poor], guess[poor], finer=_FINER))
         return polished
 
     def _extremals(self, polished: Polished) -> PointExtremals:
-        """Return those that answer, in arrays of their own."""
+        """Return polished extremals, of which those are found that answer."""
         size = self.open.chart.problem.objective_size
         return PointExtremals(
-            found=polished.answers.copy(), y=polished.y.copy(), choice=polished.choice.copy(),
-            residual=polished.reintegrated.margins.residual.copy(), cost=polished.cost.copy(),
-            ends=polished.reintegrated.ends.copy(), slopes=polished.slopes * size / self.open.chart.scale,
-            error_bound=polished.bound.copy(), steps=polished.steps.copy(),
+            found=polished.answers, y=polished.y, choice=polished.choice,
+            residual=polished.reintegrated.margins.residual, cost=polished.cost, ends=polished.reintegrated.ends,
+            slopes=polished.slopes * size / self.open.chart.scale, error_bound=polished.bound, steps=polished.steps,
         )  # fmt: skip
 
     def nearest_nodes(self, points: Matrix) -> Matrix:

@@ -6,7 +6,7 @@ integrator. What the lanes do not reach, as where the optimal flight has other a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 import numpy as np
@@ -135,11 +135,13 @@ class _Work:
         except PeriluneError as error:
             say(f"every point is solved alone: {error.what}")
         readable = np.nonzero(self.codes == _UNSOLVED)[0]
-        for start in range(0, len(readable), _TOGETHER):
-            some = self._screened(readable[start : start + _TOGETHER], allowed)
+        done = 0
+        for chunk in _chunks(readable):
+            some = self._screened(chunk, allowed)
             if solver is not None:
                 self._solve_part(solver, some)
-            say(f"{min(start + _TOGETHER, len(readable))} of {len(readable)} points")
+            done += len(chunk)
+            say(f"{done} of {len(readable)} points")
 
     def _screened(self, points: NDArray[np.int64], allowed: Allowed) -> NDArray[np.int64]:
         """Return the points whose values are some of the problem and not forbidden by physics; refuse the others."""
@@ -168,9 +170,8 @@ class _Work:
             except PeriluneError:
                 continue
             if known.outcome is Outcome.PROVED:
-                near = left[which.reshape(-1) == number]
-                for start in range(0, len(near), _TOGETHER):
-                    self._solve_part(solver, near[start : start + _TOGETHER])
+                for some in _chunks(left[which.reshape(-1) == number]):
+                    self._solve_part(solver, some)
 
     def _solve_part(self, solver: PointSolver, points: NDArray[np.int64]) -> None:
         """Solve points together from the solution of a solver, and enter what it finds."""
@@ -245,6 +246,12 @@ class _Work:
             error_bound=error_bound, interrupted=stopped, _messages=self.messages, _alone=self.alone,
             _parts=self.parts,
         )  # fmt: skip
+
+
+def _chunks(points: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Yield points in parts that are solved together."""
+    for start in range(0, len(points), _TOGETHER):
+        yield points[start : start + _TOGETHER]
 
 
 def _solved_alone(problem: Problem, known: Solution, level: int, limit: float) -> Solution:
