@@ -194,6 +194,19 @@ def test_help_loads_nothing_heavy() -> None:
     assert "solve" in done.stdout
 
 
+def test_a_landing_is_solved_and_proved_without_scipy() -> None:
+    """Nor anything else that only other problems, or refusals, need: it would be half of what the program takes."""
+    spared = "scipy matplotlib pandas pyarrow xarray importlib.metadata perilune.direct perilune.models.deorbit.problem"
+    program = (
+        "import sys, perilune.cli\n"
+        f"code = perilune.cli.run_command_line(['solve', {str(HYBRID)!r}])\n"
+        f"print(code, [m for m in {spared.split()} if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT)
+    assert done.stderr.splitlines()[-1] == "0 []"
+    assert "level 3 (locally optimal)" in done.stdout
+
+
 BAD_FILES: dict[str, bytes] = {
     "empty": b"",
     "nested": b"x = " + b"[\n" * 30_000,

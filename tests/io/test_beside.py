@@ -496,10 +496,10 @@ def test_physics_that_cannot_be_computed_is_not_proved(
 
 
 def test_a_flight_without_end_is_not_proved(hybrid: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("perilune.proof.feasible.reintegration.MOST_EVALUATIONS", 50)
-    checks = {c.name: c for c in pl.verify(hybrid, level=1).verification.checks}
-    assert not checks["computable"].passed
-    assert "more than 50 evaluations" in checks["computable"].meaning
+    monkeypatch.setattr("perilune.proof.feasible.reintegration.MOST_EVALUATIONS", 20)
+    failed = {c.name: c.value for c in pl.verify(hybrid, level=1).verification.failed}
+    assert {"state_r", "state_v", "touchdown_altitude", "objective"} <= set(failed)
+    assert np.isnan(list(failed.values())).all()
 
 
 def test_verify_has_no_such_notes_of_a_problem_in_python(hybrid: Solution) -> None:

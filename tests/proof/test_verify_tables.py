@@ -266,7 +266,7 @@ def test_a_control_that_wavers_from_node_to_node_is_no_minimum(hybrid: Solution)
 
 
 def test_a_direction_that_rounding_decides_ends_the_flight(hybrid: Solution) -> None:
-    """Shrunk to its last digits from a break on: SciPy's steps would take for ever."""
+    """Shrunk to its last digits from a break on: steps would take for ever, and give up."""
 
     def shrunk(curve: Curve) -> Curve:
         k = 1 + int(0.08598287219209247 * (len(curve.time) - 3))
@@ -275,7 +275,7 @@ def test_a_direction_that_rounding_decides_ends_the_flight(hybrid: Solution) -> 
         return Curve(time=nodes, values=values, rates=rates)
 
     began = time.process_time()
-    assert failed(with_table(hybrid, "control", shrunk)) == {"computable"}
+    assert {"state_r", "state_v", "touchdown_altitude", "objective"} <= failed(with_table(hybrid, "control", shrunk))
     assert time.process_time() - began < 30
 
 

@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, wraps
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from perilune.core import PeriluneError, UnknownKindError, parameter_name, unknown_name
 from perilune.models.deorbit import records as deorbit
-from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.descent.problem import Choices, Ignition, Site, Steering, powered_descent
 from perilune.models.kind import Kind, Section, Undecided
 from perilune.models.landing.problem import LandingSite, Orbit, hybrid_landing
@@ -22,6 +20,9 @@ from perilune.models.physics.vehicle import Retro, Throttle, Vehicle
 from perilune.models.precision.final_descent import FinalDescent
 from perilune.models.precision.problem import Approach, Corridor, precision_landing
 from perilune.problem import Problem
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "perilune.models"  # of entry points
 
@@ -77,6 +78,8 @@ def _make_deorbit(
     parachute: deorbit.Parachute | None,
     site: deorbit.Landing | None,
 ) -> Problem:
+    from perilune.models.deorbit.problem import deorbit_entry
+
     return deorbit_entry(
         vehicle, orbit, interface, body, manoeuvre=manoeuvre, transition=transition, air=atmosphere, site=site,
         heating=heating, separation=separation, limits=limits, minimise=problem.minimise,
@@ -197,6 +200,8 @@ KINDS = {kind.name: kind for kind in (HYBRID, DESCENT, PRECISION, DEORBIT)}
 
 def kind_names() -> list[str]:
     """Names of all kinds, and of those that installed packages bring."""
+    from importlib.metadata import entry_points
+
     return list(dict.fromkeys([*KINDS, *sorted(entry.name for entry in entry_points(group=GROUP))]))
 
 
@@ -227,6 +232,8 @@ def kind_named(name: str) -> Kind:
     """
     if name in KINDS:
         return KINDS[name]
+    from importlib.metadata import entry_points
+
     brought = {_describe_entry_point(entry): entry for entry in entry_points(group=GROUP, name=name)}
     if not brought:
         raise unknown_kind("problem.kind", name)

@@ -1,4 +1,4 @@
-"""Proof of a solution by other code than the solver's: SciPy and the numpy physics, no symbols, no kernels."""
+"""Proof of a solution by other code than the solver's: NumPy and the physics as stated, no symbols, no kernels."""
 
 from typing import TYPE_CHECKING
 

@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from perilune.core import PeriluneError, Vector, Watch, ignore_events, remember_best
-from perilune.direct import ROUGHEST, MeshRefinement
 from perilune.methods.indirect.settings import SearchSettings
 from perilune.problem import Problem, Solution, Variable, objective_text, scalars
 from perilune.structures import contacts_in_phase, stays_between_bounds
@@ -199,6 +198,8 @@ class Coarse:
         )
         try:
             if near:
+                from perilune.direct import MeshRefinement
+
                 refinement = MeshRefinement(settings=method, problem=self.problem, watch=self.watch)
                 *_, solution = refinement.answers(guess, near=True)
             else:
@@ -257,4 +258,6 @@ def switches_often(flight: Solution) -> bool:
 
 
 def _is_usable(solution: Solution) -> bool:
+    from perilune.direct import ROUGHEST
+
     return solution.statistics.residual < ROUGHEST

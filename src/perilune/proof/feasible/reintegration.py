@@ -1,7 +1,7 @@
-"""Independent re-integration of every phase by its exported control: SciPy's DOP853, and Gauss's collocation.
+"""Independent re-integration of every phase by its exported control, twice by Gauss's collocation.
 
-By SciPy's DOP853 from break to break, with steps of its own choice: an integrator that knows nothing of the tables.
-And by Gauss's collocation of order 8 on all pieces of the tables at once: one Newton step from the tables themselves.
+In steps of its own choice from break to break (`gauss_steps`): an integrator that knows nothing of the states that are
+claimed. And on all pieces of the tables at once, with order 8: one Newton step from the tables themselves.
 With y the table and y + d what is flown, on a piece from a with Butcher's matrix a_jk at its points
 
     d_j = d(a) + [y(a) + h sum_k a_jk f(y_k) - y_j] + h sum_k a_jk f_y(y_k) d_k
@@ -9,13 +9,11 @@ With y the table and y + d what is flown, on a piece from a with Butcher's matri
 in which the bracket is the defect of the table by quadrature; d at the end of the piece, with what the table itself
 jumps there, begins the next. So a thousand gaps, each too small to see, add up as they do in flight. What Newton's step
 leaves is of order d^2, below rounding where d passes. The costates lam' = -dH/dx are carried along likewise.
-Source: Hairer, Noersett, Wanner (1993), II.7 and II.1.
+Source: Hairer, Noersett, Wanner (1993), II.7.
 """
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count, pairwise
@@ -23,16 +21,16 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core import COMPLEX, NUMERIC, Matrix, Vector, sign_of_life
-from perilune.problem import Curve, Phase, Solution, directions
+from perilune.core import COMPLEX, NUMERIC, Matrix, Vector, sign_of_life, stack_broadcast
+from perilune.problem import Curve, Solution, normalised
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.deviations import MOST_GROWTH, state_deviation
+from perilune.proof.feasible.gauss_steps import integrate_by_gauss
 from perilune.proof.feasible.phase_data import PhaseData, slopes_at_end
-from perilune.proof.feasible.sample_points import ENDS, cubics, time_just_before
+from perilune.proof.feasible.sample_points import ENDS, cubics, polynomial, time_just_before
 
-_TOLERANCE = 1e-13  # of SciPy's integrator, relative and in canonical units
-MOST_EVALUATIONS = 300_000  # of the equations of motion in one phase; the examples take 130 to 250
-_ALIVE = 256  # evaluations from one sign of life to the next
+MOST_EVALUATIONS = 30_000  # in a phase, of all points of a step at once: the examples take 30 to 600
+_ALIVE = 64  # evaluations from one sign of life to the next
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +40,9 @@ class Reintegration:
     Attributes
     ----------
     ends
-        Final states [SI], by SciPy and by collocation: NaN where there is none.
+        Final states [SI], by steps and on the pieces of the tables: NaN where there is none.
     inside
-        States at the points of the pieces, by collocation [SI], (n, N, 4).
+        States at the points of the pieces, by the second [SI], (n, N, 4).
     at_ends
         The same at both ends of all pieces, (n, N, 2).
     difference
@@ -154,9 +152,10 @@ def reintegrate_phase(
 
 
 def integrate_by_steps(arc: PhaseData, x0: Vector) -> tuple[Vector, Vector]:
-    """The end of SciPy's flight [SI], and the largest difference to the table at its steps, scaled; both (n,).
+    """Return the end of the flight [SI] and its largest difference to the table, scaled; both (n,).
 
-    The integrator restarts at each break of the control and each kink of the physics; NaN where it gives up.
+    The integrator restarts at each break of the control and each kink of the physics; NaN where it gives up, as its
+    steps are too short or too many. Compared are the points of all its steps.
 
     Parameters
     ----------
@@ -165,33 +164,37 @@ def integrate_by_steps(arc: PhaseData, x0: Vector) -> tuple[Vector, Vector]:
     x0
         Initial state [SI], (n,).
     """
-    from scipy.integrate import solve_ivp
-
     phase, p, x, scale = arc.phase, arc.p, x0, arc.state_scale
     apart, evaluations = np.zeros(len(x0)), count()
     controls = smooth_pieces(arc.trajectory.control)
-    for left, right in pairwise(arc.edges):
-        control = exported_control(phase, controls[int(np.searchsorted(arc.breaks, left, side="right"))])
-        held = arc.answers(0.5 * (left + right))
+    for left, right in pairwise(arc.edges.tolist()):
+        curve = controls[int(np.searchsorted(arc.breaks, left, side="right"))]
+        control_at, held = read_often(curve), arc.answers(0.5 * (left + right))
 
-        def rates(t: float, x: Vector, control: Any = control, held: Vector = held) -> Any:
-            if (number := next(evaluations)) % _ALIVE == 0:
-                sign_of_life("proof: independent re-integration")
-            if number > MOST_EVALUATIONS:
-                raise ArithmeticError(f"the re-integration needs more than {MOST_EVALUATIONS} evaluations")
-            if not len(held):
-                return phase.rates(x.tolist(), control(t), p)
-            # From kink to kink on its own side, which goes on smoothly where a step looks beyond.
-            return watched_rates(phase, x, np.array(control(t)), p, held)[0].real
+        def equations(t: Vector, control_at: Any = control_at, held: Vector = held) -> Callable[[Matrix], Any]:
+            u = normalised(phase.controls, control_at(t))
+
+            def rates(X: Matrix) -> Any:
+                if (number := next(evaluations)) % _ALIVE == 0:
+                    sign_of_life("proof: independent re-integration")
+                if number > MOST_EVALUATIONS:
+                    return np.full(X.shape, np.nan)  # which no step is short enough for
+                if len(held):
+                    # From kink to kink on its own side, which goes on smoothly where a step looks beyond.
+                    return watched_rates(phase, X, u, p, held)[0].real
+                return stack_broadcast(phase.rates(X, u, p), t.shape, float)
+
+            return rates
 
         if not np.isfinite(x).all():
             raise ArithmeticError("the flight starts at a state that is not a number")
         with np.errstate(all="ignore"):
-            flown = solve_ivp(rates, (left, right), x, method="DOP853", rtol=_TOLERANCE, atol=_TOLERANCE * scale)
-        if not flown.success:
+            flown = integrate_by_gauss(equations, (left, right), x, scale, curve.time)
+        if flown is None:
             return np.full(len(x0), np.nan), np.full(len(x0), np.nan)
-        table = arc.state(np.append(flown.t[:-1], time_just_before(flown.t[-1:])))
-        apart, x = np.maximum(apart, (np.abs(flown.y - table) / scale[:, None]).max(axis=1)), flown.y[:, -1]
+        (t, states), x = flown, flown[1][:, -1]
+        table = arc.state(np.append(t[:-1], time_just_before(t[-1:])))
+        apart = np.maximum(apart, (np.abs(states - table) / scale[:, None]).max(axis=1))
     return x, apart
 
 
@@ -202,34 +205,13 @@ def smooth_pieces(curve: Curve) -> list[Curve]:
     return [Curve(time=t, values=v, rates=r) for t, v, r in zip(*parts, strict=True)]
 
 
-def exported_control(phase: Phase, curve: Curve) -> Callable[[float], list[float]]:
-    """The control as a piece of its file describes it: cubic Hermite, then a direction normalised.
+def read_often(curve: Curve) -> Callable[[Vector], Matrix]:
+    """Return a function of times that reads a table without breaks, (components, times): cubics are made once."""
+    nodes, widths = curve.time, np.diff(curve.time)
+    own = cubics(curve, np.arange(len(widths)))
 
-    Plain floats, as the flight calls it a thousand times for one value each.
+    def read(t: Vector) -> Matrix:
+        i = np.minimum(np.maximum(nodes.searchsorted(t, side="right") - 1, 0), len(widths) - 1)
+        return polynomial(own[:, i], (t - nodes[i]) / widths[i])
 
-    Parameters
-    ----------
-    phase
-        Phase with the controls.
-    curve
-        Table of the control [SI] over the time from the start of the phase [s].
-
-    Returns
-    -------
-    callable
-        ``control_at(t)``, with t in seconds, returns the components of the control [SI].
-    """
-    pieces = cubics(curve, np.arange(len(curve.time) - 1)).swapaxes(0, 1).tolist()
-    nodes, widths = curve.time.tolist(), np.diff(curve.time).tolist()
-    interior, groups = nodes[1:-1], directions(phase.controls)
-
-    def control_at(t: float) -> list[float]:
-        i = bisect_right(interior, t)
-        s = (t - nodes[i]) / widths[i]
-        u = [a + s * (b + s * (c + s * d)) for a, b, c, d in pieces[i]]
-        for first, last in groups:
-            length = sum(v * v for v in u[first:last]) ** 0.5 or math.nan  # no direction at all fails every check
-            u[first:last] = [v / length for v in u[first:last]]
-        return u
-
-    return control_at
+    return read

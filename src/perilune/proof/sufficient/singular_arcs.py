@@ -26,7 +26,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from perilune.core import Vector
 from perilune.problem import scalars
@@ -151,6 +150,8 @@ def goh_transform(F: Any, W: Any, column: int, sizes: tuple[int, int], length: f
     The new F and W, and the leap at the end of the piece; None where L is curved in the control, by itself or with
     another.
     """
+    from scipy.interpolate import CubicSpline
+
     n, m = sizes
     count, others = F.shape[2], [i for i in range(n + m, F.shape[1]) if i != column]
     if np.abs(W[[column, *others], column]).max() > _MIXED * np.abs(W).max():
