@@ -297,6 +297,20 @@ def test_a_miss_within_the_error_of_the_mesh_is_no_refusal():
     assert any("the error of the mesh" in line for line in caught.value.partial["attempts"])
 
 
+def test_a_large_mesh_is_not_searched_again_for_a_miss_that_two_starts_lead_to(monkeypatch):
+    """Both say by how much the way takes more speed; on a small mesh all starts do, and where the mesh may err."""
+    coarse, tried = Pseudospectral(nodes=5, segments=8, refine=0), {}
+    for limit, large in ((0.3, 1000), (0.3, 100), (0.3814, 100)):
+        monkeypatch.setattr("perilune.direct.initialization.LARGE", large)
+        with pytest.raises(NotConvergedError) as caught:
+            (coarse if limit == 0.3 else Pseudospectral(nodes=5, refine=0)).run(slow_move(limit))
+        lines = caught.value.partial["attempts"]
+        tried[limit, large] = [line for line in lines if line.startswith("nearest miss")]
+        if limit == 0.3:
+            assert "violates the path condition move.slower" in caught.value.what
+    assert len(tried[0.3, 1000]) == 5 and len(tried[0.3, 100]) == 2 and len(tried[0.3814, 100]) > 2
+
+
 def test_too_few_refinements_are_reported_with_the_error_of_each_state():
     with pytest.raises(NotConvergedError, match=r"requested accuracy[\s\S]*descent: h [\d.e-]+ m, v "):
         Pseudospectral(refine=1, tolerance=1e-9).run(meditch())

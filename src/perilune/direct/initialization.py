@@ -29,6 +29,12 @@ if TYPE_CHECKING:
 BRIEF, PATIENT = 60, 150
 # Starts that all end at a least miss that is not zero, before nothing more is tried.
 CONVINCED = 2
+# Relative difference of least misses that are one and the same.
+SAME = 1e-5
+# Values on a mesh beyond which a search for the least miss takes a second, so that one more has to promise something.
+LARGE = 1000
+# Iterations of all further searches together on such a mesh, once a start has ended at a miss.
+FURTHER = 200
 # Of its typical duration: what a phase has left that has shrunk to nothing.
 VANISHED = 1e-3
 # A condition violated by less, in canonical units, is satisfied.
@@ -45,6 +51,24 @@ class Start(NamedTuple):
     values: tuple[PhaseValues, ...]
     name: str
     counts: bool = True
+
+    @property
+    def large(self) -> bool:
+        """Return True if a search on its mesh takes long."""
+        return sum(values.state.size + values.control.size for values in self.values) > LARGE
+
+
+class LeastMisses(NamedTuple):
+    """Programs with their least misses, those where a phase has vanished, flights that miss nothing, sizes of misses.
+
+    `agreed` is True if the last of these was there before.
+    """
+
+    misses: list[tuple[TranscribedProgram, ProgramSolution]]
+    vanished: list[tuple[TranscribedProgram, ProgramSolution]]
+    flights: list[tuple[TranscribedProgram, ProgramSolution]]
+    known: list[float]
+    agreed: bool = False
 
 
 class FirstMesh:
@@ -102,28 +126,16 @@ class FirstMesh:
             If no start leads to an answer, with the conditions that the best trajectory misses.
         """
         tries = [(begin.program, first)]
-        misses: list[tuple[TranscribedProgram, ProgramSolution]] = []
-        vanished: list[tuple[TranscribedProgram, ProgramSolution]] = []
-        flights: list[tuple[TranscribedProgram, ProgramSolution]] = []
-        for start in starts:
-            nearest, found = self.from_least_miss(start)
-            if found is not None:
-                tries.append((start.program, found))
-                if found.converged:
-                    return tries[-1]
-                flights.append((start.program, nearest))
-            elif nearest.converged and nearest.violation > MISSED and start.counts:
-                (vanished if self.vanished(nearest) else misses).append((start.program, nearest))
-        self.settled = bool(misses)
-        # A single start may owe its miss to the mesh.
-        counted = sum(start.counts for start in starts)
-        self.all_missed = CONVINCED <= counted == len(misses) + len(vanished) and self.guess is None
-        if len(misses) >= CONVINCED and len(tries) == 1:
-            self.raise_least_violation(*min(misses, key=_violation), len(misses))
-        tries += self.in_short_steps(flights)
+        missed = self.least_misses(starts, tries)
         if tries[-1][1].converged:
             return tries[-1]
-        if not misses:
+        misses, vanished = missed.misses, missed.vanished
+        if len(misses) + missed.agreed >= CONVINCED and misses and len(tries) == 1:
+            self.raise_least_violation(*min(misses, key=_violation), max(len(misses), CONVINCED))
+        tries += self.in_short_steps(missed.flights)
+        if tries[-1][1].converged:
+            return tries[-1]
+        if not misses and not missed.agreed:
             # A start that leads nowhere spends all it is given: what one of them may take, all of them share.
             share = max(1, self.run.settings.iterations // len(starts))
             for start in starts:
@@ -133,6 +145,42 @@ class FirstMesh:
                 if tries[-1][1].converged:
                     return tries[-1]
         self.fail(*min(misses or vanished or tries, key=_violation))
+
+    def least_misses(self, starts: list[Start], tries: list[tuple[TranscribedProgram, ProgramSolution]]) -> LeastMisses:
+        """Return the least misses near the starts, up to the first answer.
+
+        On a large mesh no further than to a miss that two of them lead to.
+
+        Parameters
+        ----------
+        starts
+            In the order in which they are tried.
+        tries
+            Receives what flights that miss nothing lead to; an answer is its last.
+        """
+        found, counted, left = LeastMisses([], [], [], []), 0, FURTHER
+        for start in starts:
+            nearest, answer = self.from_least_miss(start)
+            left -= nearest.iterations if found.known else 0
+            counted += start.counts
+            if answer is not None:
+                tries.append((start.program, answer))
+                if answer.converged:
+                    return found
+                found.flights.append((start.program, nearest))
+            elif nearest.converged and nearest.violation > MISSED:
+                if start.counts:
+                    (found.vanished if self.vanished(nearest) else found.misses).append((start.program, nearest))
+                if len(tries) == 1 and start.large and self.is_missed_again(start.program, nearest, found.known):
+                    found = found._replace(agreed=True)
+                found.known.append(nearest.violation)
+            if found.agreed or (left <= 0 and start.large):
+                break
+        self.settled = bool(found.misses)
+        # A single start may owe its miss to the mesh.
+        enough = found.agreed or (counted >= CONVINCED and counted == sum(start.counts for start in starts))
+        self.all_missed = enough and counted == len(found.misses + found.vanished) and self.guess is None
+        return found
 
     def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> ProgramSolution:
         """Solve a program from its start.
@@ -221,6 +269,19 @@ class FirstMesh:
         """
         return self.run.looked_at(program, answer).worst > ROUGHEST
 
+    def error_of_states(self, program: TranscribedProgram, answer: ProgramSolution) -> float:
+        """Return the largest relative error of the mesh in a state."""
+        errors = zip(self.problem.phases, self.run.looked_at(program, answer).relative, strict=True)
+        return max(float(relative[:, : len(phase.states)].max()) for phase, relative in errors)
+
+    def is_missed_again(self, program: TranscribedProgram, nearest: ProgramSolution, known: list[float]) -> bool:
+        """Return True if another start led to the same least miss, and no finer mesh would make up for it.
+
+        Further starts seldom lead elsewhere then.
+        """
+        again = any(abs(nearest.violation - other) <= SAME * other for other in known)
+        return again and nearest.violation > self.error_of_states(program, nearest)
+
     def vanished(self, answer: ProgramSolution) -> bool:
         """Return True if a phase has shrunk to nothing: then its miss says nothing of flights with a length."""
         values = answer.free_si(self.problem)
@@ -249,8 +310,7 @@ class FirstMesh:
         from perilune.core import NotConvergedError
         from perilune.direct.inconsistent_conditions import missed_conditions
 
-        errors = zip(self.problem.phases, self.run.looked_at(program, best).relative, strict=True)
-        error = max(float(relative[:, : len(phase.states)].max()) for phase, relative in errors)
+        error = self.error_of_states(program, best)
         self.run.say(f"the least violation is {best.violation:.2g}, the error of the mesh {error:.1g}")
         if best.violation > error:
             missed = missed_conditions(program, best, MISSED)

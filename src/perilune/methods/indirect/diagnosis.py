@@ -63,9 +63,18 @@ def explain_refusal(coarse: Coarse, breaches: list[ConstraintViolation]) -> Peri
     """
     direct, bounds = coarse.refusal, [breach for breach in breaches if not breach.path]
     known = getattr(direct, "partial", {})
-    if isinstance(direct, InfeasibleError) or (direct is not None and "least_miss" in known and not breaches):
+    if isinstance(direct, InfeasibleError):
         known["attempts"] = list(coarse.tried)
         return direct
+    if direct is not None and "least_miss" in known and not breaches:
+        known["attempts"] = list(coarse.tried)
+        warned = _physics_warnings(coarse.problem)
+        if not warned:
+            return direct
+        got, flight = direct.got + warned, getattr(direct, "flight", None)
+        return NotConvergedError(
+            direct.what, got=got, expected=direct.expected, advice=direct.advice, partial=known, flight=flight
+        )
     if bounds and known.get("all_infeasible"):
         got = "the direct method found no flight either"
         return best_misses_bound_error(
@@ -317,8 +326,7 @@ def no_start_converged_error(
         }
         partial["free"] = free_values(problem, conditions, nearest.y)
         got = _nearest_approach(problem, conditions, scaled, values)
-    warned = [finding.meaning for finding in preflight(problem) if finding.verdict == "warning"]
-    got += "".join(f"; before solving, physics warns: {meaning}" for meaning in warned)
+    got += (warned := _physics_warnings(problem))
     advice = "more starts (Indirect(starts=100)), a nearby guess"
     if not warned:
         advice = "compare with physical bounds (perilune check, perilune.preflight);  " + advice
@@ -340,6 +348,12 @@ def no_start_converged_error(
         partial={**_direct_misses(coarse), **partial},
         flight=flight or getattr(coarse.refusal, "flight", None),
     )
+
+
+def _physics_warnings(problem: Problem) -> str:
+    """Return what to append to a message where comparisons before the search warn."""
+    warned = [finding.meaning for finding in preflight(problem) if finding.verdict == "warning"]
+    return "".join(f"; before solving, physics warns: {meaning}" for meaning in warned)
 
 
 def _direct_misses(coarse: Coarse) -> dict[str, Any]:

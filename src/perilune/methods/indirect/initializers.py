@@ -164,11 +164,13 @@ class ColdStarts:
     def _rough(self) -> Iterator[Solution]:
         """Yield flights of the direct method, or one without limits of the states where nothing is known yet.
 
-        Where not even a least miss came of any start, limits are not what stands in the way.
+        Where not even a least miss came of any start, limits are not what stands in the way; where one is more than
+        the error of the mesh, they are relaxed one by one.
         """
         yield from self.coarse.resolved()
         refused = self.coarse.refusal
         if self.found_any or self.coarse.solution is not None or isinstance(refused, InfeasibleError):
             return
-        if getattr(refused, "partial", {}).get("converged", True):
+        known = getattr(refused, "partial", {})
+        if known.get("converged", True) and "least_miss" not in known:
             yield from filter(None, [self.coarse.without_limits()])
