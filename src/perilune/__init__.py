@@ -120,10 +120,8 @@ _METHODS = {
     "verification_page": "perilune.report.notebook",
     "to_xarray": "perilune.io.exports.writing",
     "to_dataframe": "perilune.io.exports.writing",
-    "batch_frame": "perilune.families.export_frames",
-    "batch_dataset": "perilune.families.export_frames",
-    "family_frame": "perilune.families.export_frames",
-    "family_dataset": "perilune.families.export_frames",
+    "member_frame": "perilune.families.export_frames",
+    "member_dataset": "perilune.families.export_frames",
 }
 
 

@@ -204,7 +204,7 @@ def test_a_full_disk_is_said_and_loses_no_member(tmp_path: Path, monkeypatch: py
         put(*arguments)
 
     with monkeypatch.context() as patched:
-        patched.setattr("perilune.families.store.os.replace", replaced)
+        patched.setattr("perilune.families.store_directory.os.replace", replaced)
         with pytest.raises(PeriluneError, match=r"000001 .* cannot be stored(.|\n)*No space left(.|\n)*free space"):
             sweep(meditch(), {"h": [1.0, 1.1]}, store=tmp_path)
     assert sorted(file.name for file in tmp_path.glob("0*.json")) == ["000000.json"]

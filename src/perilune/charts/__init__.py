@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from perilune.charts.extrapolated_midpoint import MarchedMargins
     from perilune.charts.feasibility import Allowed, point_feasibility
     from perilune.charts.open_chart import OpenChart
-    from perilune.charts.point_solver import PointExtremals, PointSolver
+    from perilune.charts.point_solver import KnownExtremal, PointSolver
     from perilune.charts.polish import Polished
     from perilune.charts.reintegrate import ChartReintegration
     from perilune.charts.sheet import Sheet

@@ -8,6 +8,7 @@ any batch.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import SimpleNamespace
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.charts.arc_sequence import arc_sequence_of, kept_conditions
+from perilune.charts.arc_sequence import ArcSequence, arc_sequence_of, kept_conditions
 from perilune.charts.chart import Chart
 from perilune.charts.continuation import Lanes
 from perilune.charts.lattice import LatticeNodes, SheetLattice
@@ -41,6 +42,8 @@ class PointExtremals:
     ----------
     found
         True where an extremal keeps bounds and path and, integrated independently, meets the end conditions.
+    doubt
+        Least J, canonical, of an extremal that is suspected and was not found: one with less answers nothing.
     y, choice
         Unknowns of the chart, and what they hold, canonical.
     residual, cost
@@ -56,6 +59,7 @@ class PointExtremals:
     """
 
     found: NDArray[np.bool_]
+    doubt: Vector
     y: Matrix
     choice: Matrix
     residual: Vector
@@ -82,36 +86,66 @@ class PointExtremals:
         with np.errstate(invalid="ignore"):
             its = by.found & ~(self.found[lanes] & (self.cost[lanes] <= by.cost))
         for f in fields(self):
-            getattr(self, f.name)[lanes[its]] = getattr(by, f.name)[its]
+            if f.name != "doubt":
+                getattr(self, f.name)[lanes[its]] = getattr(by, f.name)[its]
 
 
-class PointSolver:
-    """Extremals of the form of one solution, at other values of some parameters.
+@dataclass(frozen=True, kw_only=True)
+class KnownExtremal:
+    """Extremal from which points are reached, as any process can be given it.
 
     Parameters
     ----------
-    problem
-        The user's problem.
-    solution
-        Extremal of it, as the indirect method returns it.
+    problem, free
+        Problem whose extremal it is, and its free parameters [SI].
+    sequence, unknowns
+        Its arcs, and the unknowns of their problem.
+    """
+
+    problem: Problem
+    free: Mapping[str, float]
+    sequence: ArcSequence
+    unknowns: Vector
+
+    @classmethod
+    def of(cls, solution: Solution) -> KnownExtremal:
+        """Return the extremal of a solution, as the indirect method returns it.
+
+        Raises
+        ------
+        PeriluneError
+            If a chart cannot follow its arcs.
+        """
+        sequence, extremals = arc_sequence_of(solution, kept_conditions(solution))
+        unknowns = np.array(extremals[0].unknowns)
+        return cls(problem=solution.problem, free=dict(solution.free), sequence=sequence, unknowns=unknowns)
+
+
+class PointSolver:
+    """Extremals of the form of a known one, at other values of some parameters.
+
+    Parameters
+    ----------
+    known
+        The known extremal.
     names
         Parameters that vary.
 
     Raises
     ------
     PeriluneError
-        If a chart cannot follow the arcs of the solution.
+        If a chart cannot follow it.
     NotConvergedError
-        If the extremal of the solution is not found again.
+        If it is not found again.
     """
 
-    def __init__(self, problem: Problem, solution: Solution, names: Sequence[str]) -> None:
-        course, extremals = arc_sequence_of(solution, kept_conditions(solution))
-        base = np.array([solution.free[n] if n in solution.free else problem.given[n].value for n in names])
+    def __init__(self, known: KnownExtremal, names: Sequence[str]) -> None:
+        problem, free = known.problem, known.free
+        base = np.array([free[n] if n in free else problem.given[n].value for n in names])
         # Nothing of the points enters: canonical units that followed them would change last bits.
         widths = [abs(v) or problem.scales.of(problem.unit_of(n)) for n, v in zip(names, base.tolist(), strict=True)]
-        chart = Chart(problem, names, np.array(widths), course)
-        y = chart.from_problem_unknowns(np.array(extremals[0].unknowns))
+        chart = Chart(problem, names, np.array(widths), known.sequence)
+        y = chart.from_problem_unknowns(known.unknowns)
         begin = list(starting_sheets(chart, base / chart.scale, y))
         if not begin:
             raise NotConvergedError("the extremal of the guess is not found again", advice="another guess, or none")
@@ -131,7 +165,7 @@ class PointSolver:
             Values of the parameters [SI], (lanes, d).
         """
         values = points / self.open.chart.scale
-        found, doubt = self._of_first_sheet(values)
+        found = self._of_first_sheet(values)
         for number, lattice in enumerate(self._lattices[1:], 1):
             nodes = lattice(values)
             with np.errstate(invalid="ignore"):
@@ -139,17 +173,17 @@ class PointSolver:
             if (lanes := np.nonzero(nodes.known & (~found.found | better))[0]).size:
                 polished = self._polished(number, values[lanes], nodes.of(lanes))
                 found.put(lanes, self._extremals(polished))
-        found.found[found.found & (doubt < found.cost)] = False
         return found
 
-    def _of_first_sheet(self, values: Matrix) -> tuple[PointExtremals, Vector]:
-        """Return extremals of the sheet of the known solution, and J of those that cast doubt, inf for none.
+    def _of_first_sheet(self, values: Matrix) -> PointExtremals:
+        """Return extremals of the sheet of the known solution.
 
-        One that breaks the path does, as a flight with an arc along it may be better than others; and one that is not
-        reached, with what J its tangent plane says.
+        One that breaks the path casts doubt, as a flight with an arc along it may be better than others; and one that
+        is not reached, with what J its tangent plane says.
         """
         found, left = self.none(len(values)), np.arange(len(values))
-        doubt = self._first.of(np.zeros(len(values), dtype=np.int64)).cost_at(values)
+        doubt = found.doubt
+        doubt[:] = self._first.of(np.zeros(len(values), dtype=np.int64)).cost_at(values)
         for level in range(_LEVELS):
             if not left.size:
                 break
@@ -162,7 +196,7 @@ class PointSolver:
             broken = np.where(polished.breaking, polished.cost, np.inf)
             doubt[some] = np.where(polished.reached, broken, nodes.cost_at(values[some]))
             left = np.setdiff1d(left, some[polished.reached])
-        return found, doubt
+        return found
 
     def _polished(self, number: int, values: Matrix, nodes: LatticeNodes) -> Polished:
         """Return what Newton's method makes of the tangent planes of nodes of a sheet at values, canonical."""
@@ -174,12 +208,17 @@ class PointSolver:
 
     def _extremals(self, polished: Polished) -> PointExtremals:
         """Return polished extremals, of which those are found that answer."""
-        size = self.open.chart.problem.objective_size
         return PointExtremals(
-            found=polished.answers, y=polished.y, choice=polished.choice,
+            found=polished.answers, doubt=np.full(len(polished.y), np.inf), y=polished.y, choice=polished.choice,
             residual=polished.reintegrated.margins.residual, cost=polished.cost, ends=polished.reintegrated.ends,
-            slopes=polished.slopes * size / self.open.chart.scale, error_bound=polished.bound, steps=polished.steps,
+            slopes=polished.slopes * self.objective_size / self.open.chart.scale, error_bound=polished.bound,
+            steps=polished.steps,
         )  # fmt: skip
+
+    @property
+    def objective_size(self) -> float:
+        """Return the unit of J [SI]."""
+        return self.open.chart.problem.objective_size
 
     def nearest_nodes(self, points: Matrix) -> Matrix:
         """Return the coarsest node of the lattice next to each of some points [SI], (lanes, d)."""
@@ -193,7 +232,7 @@ class PointSolver:
         sizes = {"y": plan.size, "choice": 2 * plan.held, "ends": ends, "slopes": d}
         rows = {name: np.full((count, size), np.nan) for name, size in sizes.items()}
         rows |= {name: np.full(count, np.nan) for name in ("residual", "cost", "error_bound", "steps")}
-        return PointExtremals(found=np.zeros(count, dtype=bool), **rows)
+        return PointExtremals(found=np.zeros(count, dtype=bool), doubt=np.full(count, np.inf), **rows)
 
     @property
     def _phases(self) -> Sequence[Phase]:
@@ -215,22 +254,33 @@ class PointSolver:
         """
         problem, phases = self.open.chart.user, self._phases
         scale = np.concatenate([state_scales(self.open.chart.problem, phase) for phase in (phases[0], *phases)])
-        states = (found.ends * scale).T
-        first, last = states[: len(phases[0].states)], states[-len(phases[-1].states) :]
+        places = np.cumsum([0, len(phases[0].states), *(len(phase.states) for phase in phases)])
+        states = [(found.ends * scale).T[i:j] for i, j in itertools.pairwise(places)]  # at the start, and of each arc
+        structure = self.open.chart.course.structure
+        arcs = [1] * len(phases) if structure is None else [len(arcs) for arcs in structure.phases]
+        last = [states[n] for n in np.cumsum(arcs)]
         p = SimpleNamespace(**{**{name: given.value for name, given in problem.given.items()}, **parameters})
-        ends = [problem.phases[i].state_record(*x) for i, x in ((0, first), (-1, last))]
-        told = list[tuple[Sequence[Variable], Sequence[Any]]]()
+        count, told = len(found.cost), dict[str, Any]()
         with np.errstate(all="ignore"):
-            if problem.results is not None:
-                told.append((problem.result_variables, problem.results(*ends, p, NUMERIC)))
-            told.append(
-                (problem.phases[-1].end_output_variables, problem.phases[-1].evaluate("end_outputs", last, (), p))
-            )
-        return {
-            variable.name: np.broadcast_to(np.asarray(value, dtype=float), len(found.cost))
-            for variables, values in told
-            for variable, value in zip(variables, values, strict=True)
-        }
+            if problem.results is None:
+                told["flight_time"] = sum(getattr(p, phase.duration) for phase in problem.phases)
+                told["objective"] = found.cost * self.objective_size
+            else:
+                ends = problem.phases[0].state_record(*states[0]), problem.phases[-1].state_record(*last[-1])
+                told |= _named(problem.result_variables, problem.results(*ends, p, NUMERIC))
+            for phase, end in zip(problem.phases, last, strict=True):
+                told |= _named(phase.end_output_variables, phase.evaluate("end_outputs", end, (), p))
+        return {name: np.broadcast_to(np.asarray(value, dtype=float), count) for name, value in told.items()}
+
+    @staticmethod
+    def end_results(problem: Problem) -> dict[str, Variable]:
+        """Return the results of a problem that depend on the ends of its phases only, by name."""
+        variables = problem.result_variables
+        if problem.results is None:
+            unit = problem.objective_unit
+            variables = Variable(name="flight_time", unit="s"), Variable(name="objective", unit=unit, description="J")
+        phases = (v for phase in problem.phases for v in phase.end_output_variables)
+        return {variable.name: variable for variable in (*variables, *phases)}
 
     def solution(self, problem: Problem, found: PointExtremals, lane: int) -> Solution:
         """Return the extremal of a lane as a solution of the user's problem at its values.
@@ -246,3 +296,7 @@ class PointSolver:
         root = self.open.root(found.y[its], found.choice[its], found.residual[its], found.cost[its])
         statistics = Statistics(initialization="guess", iterations=steps, arcs=steps + 1)
         return self.open.solution(problem, [ExtremalRoot(root=root, minimum=True)], statistics)
+
+
+def _named(variables: Sequence[Variable], values: Sequence[Any]) -> dict[str, Any]:
+    return {variable.name: value for variable, value in zip(variables, values, strict=True)}

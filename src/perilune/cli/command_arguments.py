@@ -48,7 +48,7 @@ def add_solving_commands(command: Callable[..., Any]) -> None:
             "more than once, the family is the grid.",
         ),
         *find,
-        level_option(0, 1),
+        level_option(0, None, "1; with --batch 0"),
         METHOD,
         *SETTINGS,
         SOLVED_WITHIN,
@@ -60,6 +60,11 @@ def add_solving_commands(command: Callable[..., Any]) -> None:
             help="Processes that solve members in parallel. Default: 1.",
         ),
         *MAP,
+        switch(
+            "--batch",
+            "Solve members together from known solutions, thousands in a second, each integrated again: results at the "
+            "ends of phases, and no file for each member.",
+        ),
         switch("--resume", "Continue with the members that are already in --out DIR."),
         NO_CACHE,
     )

@@ -90,7 +90,7 @@ def switch(flag: str, about: str, **settings: Any) -> Option:
     return option(flag, action="store_true", help=about, **settings)
 
 
-def level_option(least: int, usual: int) -> Option:
+def level_option(least: int, usual: int | None, about: str = "") -> Option:
     """Return the option for the level of a proof.
 
     Parameters
@@ -98,11 +98,13 @@ def level_option(least: int, usual: int) -> Option:
     least
         Lowest level that the command accepts.
     usual
-        The default.
+        The default; None where the command chooses it.
+    about
+        The default in words, where the command chooses it.
     """
     text = f"Verification level to reach, {_integer_range_text(least, THEOREM)}" + ("; 0 for none" if not least else "")
     read = integer_in_range(least, THEOREM)
-    return option("--level", metavar="LEVEL", type=read, default=usual, help=f"{text}. Default: {usual}.")
+    return option("--level", metavar="LEVEL", type=read, default=usual, help=f"{text}. Default: {about or usual}.")
 
 
 def verify_options(what: str, otherwise: str = "") -> tuple[Option, Option]:

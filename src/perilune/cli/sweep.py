@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from argparse import Namespace
 from collections import deque
@@ -32,7 +33,16 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
     """Solve the family and show it."""
     if order.resume and order.out is None:
         raise PeriluneError("--resume continues the sweep in a directory", expected="--out DIR", advice="name it")
-    method, limit = method_of(order.method, method_settings(order)), time_limit(order)
+    level = order.level if order.level is not None else 0 if order.batch else 1
+    settings, limit = method_settings(order), time_limit(order)
+    typed = [f"--{name}" for name, value in settings.items() if value is not None]
+    typed += [f"--method {order.method}"] if order.method != "indirect" else []
+    if order.batch and typed:
+        raise PeriluneError(
+            "--batch is of the indirect method as it is", got=", ".join(typed), expected="no settings of a method",
+            advice=f"leave out --batch, or {typed[0]}",
+        )  # fmt: skip
+    method = method_of(order.method, settings)
     from perilune.scenario import values_of
 
     over = ranges_of_keys(order, values_of)
@@ -47,7 +57,7 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
         from perilune.report import require_map
 
         require_map(scenario.problem, tuple(map(parameter_name, over)), axes)
-    options: dict[str, Any] = {"method": method}
+    options: dict[str, Any] = {"verify": level, "time_limit": limit}
     if order.out is not None:
         _refuse_used_directory(order)
         options["store"] = order.out / MEMBERS
@@ -55,40 +65,38 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
             from perilune.families import clear_family
 
             clear_family(options["store"])
-    from perilune import sweep
+    from perilune import solve_many, sweep
+    from perilune.families import grid_points, member_table
     from perilune.report import family_csv, family_document, write_family
 
     with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, worker_pool(order.workers) as executor:
-        family = sweep(
-            scenario.problem,
-            over,
-            verify=order.level,
-            callback=watch,
-            executor=executor,
-            tolerance=scenario.tolerance,
-            time_limit=limit,
-            **options,
-        )
+        options |= {"callback": watch, "executor": executor}
+        if order.batch:
+            found = solve_many(scenario.problem, grid_points(over), **options)
+        else:
+            found = sweep(scenario.problem, over, method, tolerance=scenario.tolerance, **options)
+    table = member_table(found)
     for outcome, error in ((Outcome.INFEASIBLE, InfeasibleError), (Outcome.REFUSED, PeriluneError)):
-        if family.points and all(p.outcome is outcome for p in family.points):
-            first, names = family.points[0].message, " and ".join(family.parameters)
+        if len(table) and set(table.outcomes) == {outcome.name}:
+            first, names = table.messages[0], " and ".join(table.parameters)
             raise error(f"every value of {names} is invalid", got=first, advice="try another range")
     files = WrittenFiles()
     if order.out is not None:
         with files.written():
-            write_family(family, order.out, force=True, axes=axes)  # what may not be replaced was refused above
-    codes = [p.solution.outcome.exit_code if p.solution else 4 for p in family.points]
+            write_family(table, order.out, force=True, axes=axes)  # what may not be replaced was refused above
+    codes = {
+        Outcome[name].exit_code if solved else 4 for name, solved in zip(table.outcomes, table.solved, strict=True)
+    }
     # At level 0 no proof was asked for, so none is missing.
-    worst = max((c for c in codes if c != 5 or order.level), default=0, key=(0, 5, 4).index)
-    for text in family.notes:
+    worst = max((c for c in codes if c != 5 or level), default=0, key=(0, 5, 4).index)
+    for text in table.notes:
         print_note(text)
-    if family.interrupted:
-        total = 1
-        for values in over.values():
-            total *= len(values)
-        print_note(f"stopped by the user with {len(family.points)} of {total} values done, which are kept")
-    code = INTERRUPTED if family.interrupted else worst
-    return files.noted(CommandAnswer(text=family_csv(family), document=family_document(family), exit_code=code))
+    if table.interrupted:
+        done = sum(name != Outcome.INTERRUPTED.name for name in table.outcomes)
+        total = math.prod(len(values) for values in over.values())
+        print_note(f"stopped by the user with {done} of {total} values done, which are kept")
+    code = INTERRUPTED if table.interrupted else worst
+    return files.noted(CommandAnswer(text=family_csv(table), document=family_document(table), exit_code=code))
 
 
 @contextmanager

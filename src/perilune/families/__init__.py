@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from perilune.families.batch import Batch
     from perilune.families.dask_cluster import cluster
     from perilune.families.executors import (
         Call,
@@ -12,9 +13,10 @@ if TYPE_CHECKING:
         ignore_interrupt_in_children,
         run_calls,
     )
-    from perilune.families.export_frames import grid_of, member_quantities, result_fields
     from perilune.families.family import Family
-    from perilune.families.store import MANIFEST, clear_family
+    from perilune.families.family_table import MemberTable, member_table, shown_column
+    from perilune.families.points import grid_points
+    from perilune.families.store_directory import MANIFEST, clear_family
 else:
     from perilune.core import lazy_face
 

@@ -3,44 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.charts import PointExtremals, PointSolver
-from perilune.core import Matrix, Outcome, PeriluneError, Vector, check_call, method_function, require_index
-from perilune.problem import Problem, Solution, preflight, refuse_impossible
+from perilune.core import Matrix, PeriluneError, Vector, check_call, method_function, require_index
+from perilune.families.batch_rows import ALONE, OUTCOMES, BatchRows
+from perilune.families.batch_solver import BatchSolver
+from perilune.problem import Problem, Solution, preflight, refuse_impossible, select_findings
 
 if TYPE_CHECKING:
     import pandas
     import xarray
-
-OUTCOMES = tuple(Outcome)  # an outcome of a batch is its place here
-
-
-@dataclass(frozen=True)
-class BatchPart:
-    """Points that were reached from one solution: its solver, their numbers in order, and their extremals."""
-
-    solver: PointSolver
-    points: NDArray[np.int64]
-    found: PointExtremals
-
-
-def solution_in_parts(parts: Sequence[BatchPart], problem: Problem, point: int) -> Solution:
-    """Return the extremal of a point of a batch as a solution.
-
-    Parameters
-    ----------
-    parts
-        Parts of the batch, one of which has the point.
-    problem, point
-        Problem of the point, and its number.
-    """
-    part = next(part for part in parts if point in part.points)
-    return part.solver.solution(problem, part.found, int(np.searchsorted(part.points, point)))
 
 
 @check_call
@@ -70,6 +47,8 @@ class Batch:
         How far the unknowns can be from those of the extremal, relative; NaN for a point that was solved alone.
     interrupted
         True if the user stopped it.
+    notes
+        What was taken over from a store.
     """
 
     problem: Problem
@@ -83,10 +62,10 @@ class Batch:
     results: Mapping[str, Vector]
     slopes: Matrix
     error_bound: Vector
-    interrupted: bool = False
-    _messages: Mapping[int, str] = field(default_factory=dict)
-    _alone: Mapping[int, Solution] = field(default_factory=dict)
-    _parts: Sequence[BatchPart] = ()
+    interrupted: bool
+    notes: tuple[str, ...]
+    _rows: BatchRows
+    _solver: BatchSolver
 
     def __repr__(self) -> str:
         stopped = ", interrupted" if self.interrupted else ""
@@ -108,12 +87,11 @@ class Batch:
     @property
     def solved_alone(self) -> NDArray[np.int64]:
         """Return the numbers of the points that were solved one by one, as the lanes did not lead to them."""
-        return np.array(sorted(self._alone), dtype=np.int64)
+        return np.nonzero(self._rows.origin == ALONE)[0]
 
     def problem_of(self, point: int) -> Problem:
         """Return the problem of a point, whose values its records may refuse."""
-        values = self.values[self._number(point)].tolist()
-        return self.problem.with_given(**dict(zip(self.parameters, values, strict=True)))
+        return self._solver.problem_at(self.values[self._number(point)])
 
     def _number(self, point: int) -> int:
         """Return the number of a point, which may count from the end."""
@@ -122,15 +100,26 @@ class Batch:
 
     def message(self, point: int) -> str:
         """Return why a point has no answer, in words; empty where it has one."""
-        point = self._number(point)
-        if point in self._messages or self.solved[point]:
-            return self._messages.get(point, "")
-        try:
-            refuse_impossible(preflight(self.problem_of(point)))
-        except PeriluneError as error:
-            return str(error)
-        return "not solved before the batch was stopped"
+        return self.messages[self._number(point)]
 
+    @cached_property
+    def messages(self) -> Sequence[str]:
+        """Return why each point has no answer, in words; empty where it has one."""
+        known, solved = self._rows.messages, self.solved
+        left = [i for i in range(len(self)) if not solved[i] and i not in known]
+        values = zip(self.parameters, self.values[left].T, strict=True)
+        findings = preflight(self.problem, dict(values)) if left else ()
+        said = dict(known)
+        for number, i in enumerate(left):
+            said[i] = "not solved before the batch was stopped"
+            try:
+                self.problem_of(i)
+                refuse_impossible(select_findings(findings, number))
+            except PeriluneError as error:
+                said[i] = str(error)
+        return [said.get(i, "") for i in range(len(self))]
+
+    @check_call
     def solution(self, point: int) -> Solution:
         """Return the answer of a point as a solution, unverified where its level is 0.
 
@@ -140,32 +129,49 @@ class Batch:
             If the point has no answer; the message says why.
         """
         problem, point = self.problem_of(point), self._number(point)
-        if point in self._alone:
-            return self._alone[point]
         if not self.solved[point]:
             raise PeriluneError(f"point {point} has no solution", got=self.message(point), expected="a solved point")
-        return solution_in_parts(self._parts, problem, point)
+        return replace(self._solver.solution(self._rows, point), problem=problem)
 
     @check_call
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the points as rows of a frame of pandas: parameters, free ones, results, objective and outcome.
-
-        Angles are in degrees and everything else in SI (``attrs["units"]``).
+        """Return the points as rows of a frame of pandas, with the columns of `Family.to_dataframe`.
 
         Raises
         ------
         PeriluneError
             If pandas is not installed.
         """
-        return method_function("batch_frame")(self)
+        return method_function("member_frame")(self)
 
     @check_call
     def to_xarray(self) -> xarray.Dataset:
-        """Return the points as a data set of xarray with the dimension ``point``; columns as of `to_dataframe`.
+        """Return the points as a data set of xarray.
+
+        Its dimensions are the parameters where the points are a grid, else the one dimension ``point``.
 
         Raises
         ------
         PeriluneError
             If xarray is not installed.
         """
-        return method_function("batch_dataset")(self)
+        return method_function("member_dataset")(self)
+
+
+def batch_of(rows: BatchRows, solver: BatchSolver, interrupted: bool, notes: Sequence[str]) -> Batch:
+    """Return a batch.
+
+    Parameters
+    ----------
+    rows, solver
+        Answers, and what found them.
+    interrupted, notes
+        As of the batch.
+    """
+    request = solver.request
+    return Batch(
+        problem=request.problem, guess=request.guess, parameters=request.names, values=rows.values,
+        codes=rows.codes, levels=rows.levels, objective=rows.objective, free=rows.free, results=rows.results,
+        slopes=rows.slopes, error_bound=rows.error_bound, interrupted=interrupted, notes=tuple(notes), _rows=rows,
+        _solver=solver,
+    )  # fmt: skip

@@ -13,7 +13,7 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
-from perilune.core import PeriluneError
+from perilune.core import PeriluneError, wrong_type_error
 
 Name = TypeVar("Name", bound=Hashable)
 Call = tuple[Any, ...]  # a function and its arguments
@@ -26,6 +26,20 @@ class Submits(Protocol):
 
     def submit(self, function: Any, /, *arguments: Any) -> Any:
         """Begin a call; what is returned has ``result``, ``cancel`` and ``add_done_callback``."""
+
+
+def require_executor(executor: Submits | None) -> None:
+    """Refuse what cannot take calls.
+
+    Raises
+    ------
+    PeriluneError
+        If it has no method `submit`.
+    """
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise wrong_type_error(
+            executor, "a concurrent.futures.Executor, a Dask client or None", "an executor for the members"
+        )
 
 
 @runtime_checkable

@@ -144,7 +144,7 @@ class Family:
 
     @check_call
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the members as rows of a frame of pandas; see `perilune.families.export_frames.family_frame`.
+        """Return the members as rows of a frame of pandas; see `perilune.families.export_frames.member_frame`.
 
         Parameters, free parameters and results, angles in degrees and everything else in SI (``attrs["units"]``), then
         ``outcome``, ``verification_level``, ``tolerance_used`` and ``message``.
@@ -154,11 +154,11 @@ class Family:
         PeriluneError
             If pandas is not installed.
         """
-        return method_function("family_frame")(self)
+        return method_function("member_frame")(self)
 
     @check_call
     def to_xarray(self) -> xarray.Dataset:
-        """Return the members as a data set of xarray; see `perilune.families.export_frames.family_dataset`.
+        """Return the members as a data set of xarray; see `perilune.families.export_frames.member_dataset`.
 
         Its dimensions are the parameters where the members are a grid, else the one dimension ``point``.
 
@@ -167,7 +167,7 @@ class Family:
         PeriluneError
             If xarray is not installed.
         """
-        return method_function("family_dataset")(self)
+        return method_function("member_dataset")(self)
 
 
 def member_values(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:

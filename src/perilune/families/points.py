@@ -12,6 +12,7 @@ import numpy as np
 from perilune.core import (
     Matrix,
     PeriluneError,
+    Vector,
     parameter_name,
     parse_unit,
     unit_as_written,
@@ -74,6 +75,18 @@ def read_points(problem: Problem, points: Points) -> PointTable:
             what = "is missing" if i in gaps.get(heading, ()) else f"is no finite number: got {_shown(column[i])}"
             unreadable.setdefault(i, f"{names[k]} {what}")
     return PointTable(names=tuple(names), values=values, unreadable=unreadable)
+
+
+def grid_points(over: Mapping[str, Sequence[float]]) -> dict[str, Vector]:
+    """Return the columns of all combinations of values, the last name changing fastest.
+
+    Parameters
+    ----------
+    over
+        Values of each parameter [SI].
+    """
+    axes = np.meshgrid(*(np.asarray(values, dtype=float) for values in over.values()), indexing="ij")
+    return {name: axis.ravel() for name, axis in zip(over, axes, strict=True)}
 
 
 def _columns(points: Points) -> tuple[Mapping[str, Any], Mapping[str, set[int]]]:

@@ -13,9 +13,8 @@ from perilune.core import (
     require_level,
     require_path,
     require_type,
-    wrong_type_error,
 )
-from perilune.families.executors import Submits
+from perilune.families.executors import Submits, require_executor
 from perilune.families.family import Family, FamilyPoint, Over, member_values
 from perilune.families.members import Members
 from perilune.families.store import FamilyStore
@@ -84,10 +83,7 @@ def sweep(
     require_tolerance(tolerance)
     names, values = member_values(problem, over)
     require_callable(callback, "a callback")
-    if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise wrong_type_error(
-            executor, "a concurrent.futures.Executor, a Dask client or None", "an executor for the members"
-        )
+    require_executor(executor)
     say = callback or ignore_events
     members = Members(
         problem=problem, names=names, values=values, method=method_or_default(method), level=verify,

@@ -21,7 +21,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
 from perilune.core import Matrix, Outcome, PeriluneError, Vector, parameter_name, unknown_name
-from perilune.families import Family, grid_of, member_quantities, result_fields
+from perilune.families import Batch, Family, MemberTable, member_table, shown_column
 from perilune.problem import Problem
 from perilune.report.style import GREY, VERMILION, new_figure, styled
 from perilune.report.time_histories import LONG
@@ -83,13 +83,15 @@ def require_map(problem: Problem, parameters: tuple[str, ...], names: Mapping[st
 
 
 @styled
-def family_map(family: Family, x: str | None = None, y: str | None = None, z: str | None = None) -> Figure:
+def family_map(
+    found: Family | Batch | MemberTable, x: str | None = None, y: str | None = None, z: str | None = None
+) -> Figure:
     """Draw filled contours, with labels, of one quantity of a family over two others.
 
     Parameters
     ----------
-    family
-        Along two parameters, its members their grid.
+    found
+        Family or batch along two parameters, its members their grid.
     x, y
         Names of the axes; the two parameters if None.
     z
@@ -106,15 +108,16 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
     PeriluneError
         If there are not two parameters, the members are no grid, or a quantity is not known or nowhere a number.
     """
-    placed = grid_of(family)
-    if len(family.parameters) != 2 or placed is None or min(placed.shape) < 2:
+    members = member_table(found)
+    placed = members.grid
+    if len(members.parameters) != 2 or placed is None or min(placed.shape) < 2:
         raise PeriluneError(
             "a map needs a family along two parameters, with all of its members",
-            got=f"{len(family.points)} members along {', '.join(family.parameters)}",
+            got=f"{len(members)} members along {', '.join(members.parameters)}",
             expected="a grid of 2 by 2 or more",
         )  # fmt: skip
-    table = _quantities(family)
-    names = [x or family.parameters[0], y or family.parameters[1], z or _default_quantity(family, table)]
+    table = _quantities(members)
+    names = [x or members.parameters[0], y or members.parameters[1], z or _default_quantity(members, table)]
     for name in names:
         if parameter_name(name) not in table:
             raise unknown_name("quantity of a family", name, sorted(table))
@@ -128,7 +131,7 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
             f"there is nothing to draw of {names[2]}", got="no three neighbouring members with a value",
             expected="neighbouring members with a solution",
         )  # fmt: skip
-    infeasible = np.array([p.outcome is Outcome.INFEASIBLE for p in family.points], dtype=bool)
+    infeasible = np.array(members.outcomes) == Outcome.INFEASIBLE.name
     unknown = (~np.isfinite(height) & ~infeasible)[bad].any(axis=1)
     for hatch, triangles in (("////", bad[~unknown]), ("....", bad[unknown])):
         _hatched(axes, np.stack([along, across], axis=1), triangles, hatch)
@@ -137,7 +140,7 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
     bar = figure.colorbar(drawn, ax=axes, pad=0.02)
     bar.set_label(z_text)
     bar.outline.set_linewidth(0.4)  # pyright: ignore[reportCallIssue]
-    _mark_members(axes, family, along, across, np.isfinite(height), folded)
+    _mark_members(axes, members, along, across, np.isfinite(height), folded)
     axes.set(xlabel=x_text, ylabel=y_text)
     axes.grid(False)
     move_labels_inside(figure, axes)
@@ -151,11 +154,12 @@ def _scatter_of(axes: Axes, along: Vector, across: Vector, height: Vector) -> An
     return axes.scatter(along[near], across[near], c=height[near], s=14, cmap="viridis", norm=norm, clip_on=False)
 
 
-def _quantities(family: Family) -> dict[str, tuple[Vector, str]]:
+def _quantities(members: MemberTable) -> dict[str, tuple[Vector, str]]:
     """Return values and unit of all quantities of a member, by name; a parameter has precedence over a result."""
-    count, found = len(family.points), member_quantities(family)
-    given = {name: np.full(count, value.value) for name, value in family.problem.given.items()}
-    given |= dict(zip(family.parameters, np.array([p.values for p in family.points]).T, strict=True))
+    columns = [shown_column(c) for c in (*members.given, *members.quantities, *members.axes)]
+    found = {c.name: (np.broadcast_to(c.values, len(members)), c.unit) for c in columns}
+    given = {name: np.full(len(members), value.value) for name, value in members.problem.given.items()}
+    given |= {axis.name: axis.values for axis in members.axes}
     if _weighs(set(given)):
         pull = given.get("body_gravity")
         if pull is None:
@@ -169,11 +173,11 @@ def _weighs(names: set[str]) -> bool:
     return ground and names >= {"vehicle_thrust", "vehicle_mass"}
 
 
-def _default_quantity(family: Family, table: Mapping[str, tuple[Vector, str]]) -> str:
+def _default_quantity(members: MemberTable, table: Mapping[str, tuple[Vector, str]]) -> str:
     """Return the name of the quantity to show by default."""
-    if family.problem.maximised in table:
-        return family.problem.maximised
-    for f in result_fields(family):
+    if members.problem.maximised in table:
+        return members.problem.maximised
+    for f in members.quantities:
         known = f.values[np.isfinite(f.values)]
         if len(known) and np.ptp(known) > 1e-9 * np.abs(known).max():
             return f.name
@@ -263,14 +267,15 @@ def move_labels_inside(figure: Figure, axes: Any) -> None:
             text.set_position(axes.transData.inverted().transform(at + moved))
 
 
-def _mark_members(axes: Any, family: Family, along: Vector, across: Vector, good: np.ndarray, folded: bool) -> None:
+def _mark_members(
+    axes: Any, members: MemberTable, along: Vector, across: Vector, good: np.ndarray, folded: bool
+) -> None:
     """Mark each member with a dot, hollow if it is not proved; with a cross or plus if it has no solution."""
     doubted, infeasible = (
-        np.array([p.outcome is outcome for p in family.points], dtype=bool)
-        for outcome in (Outcome.NOT_PROVED, Outcome.INFEASIBLE)
+        np.array(members.outcomes) == outcome.name for outcome in (Outcome.NOT_PROVED, Outcome.INFEASIBLE)
     )
     placed = np.isfinite(along) & np.isfinite(across)
-    few = len(family.points) <= _MOST_DOTS
+    few = len(members) <= _MOST_DOTS
     if few and not folded:  # there they are all that is drawn
         axes.plot(along[good & ~doubted], across[good & ~doubted], ".", color="black", markersize=1.5, clip_on=False)
     axes.plot(

@@ -15,104 +15,93 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perilune.core import Outcome
-from perilune.io import (
-    display_unit,
-    finite,
-    fresh_directory,
-    json_text,
-    refuse_unwritten,
-    results_document,
-    round_degrees,
-    write_each,
-)
+from perilune.families import MemberTable, member_table, shown_column
+from perilune.io import finite, fresh_directory, json_text, refuse_unwritten, round_degrees, write_each
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from perilune.families import Family
+    from perilune.families import Batch, Family
 
 FAMILY_NAME = "family"
 
 
-def family_document(family: Family) -> dict[str, Any]:
+def family_document(found: Family | Batch | MemberTable) -> dict[str, Any]:
     """Make the tree: parameter, unit, whether Ctrl-C cut it short; of each point value, outcome, results, message.
 
     `tolerance_used` is the part of a stated tolerance that its proof needed.
     A family along several parameters has ``parameters`` and ``values`` in their place, in the same order.
     """
-    shown = [display_unit(unit) for unit in family.units]
-    heads = [{"name": name, "unit": unit} for name, (_, unit) in zip(family.parameters, shown, strict=True)]
-    points = []
-    for point in family.points:
-        solution = point.solution
-        values = [
-            round_degrees(value * factor, unit) for value, (factor, unit) in zip(point.values, shown, strict=True)
-        ]
-        points.append(
-            {
-                **({"value": values[0]} if len(values) == 1 else {"values": values}),
-                "outcome": point.outcome.name,
-                "verification_level": solution.verification.level if solution else 0,
-                "tolerance_used": point.tolerance_used,
-                "results": results_document(solution) if solution else {},
-                "message": point.message,
-            }
-        )
+    table = member_table(found)
+    axes = [shown_column(axis) for axis in table.axes]
+    heads = [{"name": axis.name, "unit": axis.unit} for axis in axes]
+    values = [[round_degrees(value, axis.unit) for value in axis.values.tolist()] for axis in axes]
+    results = [
+        (c.name, {"unit": c.unit, "description": c.description, "label": c.label}, c.values.tolist())
+        for c in table.results
+    ]
+    points = [
+        {
+            **({"value": at[0]} if len(at) == 1 else {"values": list(at)}),
+            "outcome": table.outcomes[i],
+            "verification_level": int(table.levels[i]),
+            "tolerance_used": table.tolerances[i],
+            "results": {name: {"value": y[i], **about} for name, about, y in results} if table.solved[i] else {},
+            "message": table.messages[i],
+        }
+        for i, at in enumerate(zip(*values, strict=True))
+    ]
     one = {"parameter": heads[0]["name"], "unit": heads[0]["unit"]} if len(heads) == 1 else {"parameters": heads}
-    notes = {"notes": list(family.notes)} if family.notes else {}
-    return finite({**one, "interrupted": family.interrupted, **notes, "points": points})
+    notes = {"notes": list(table.notes)} if table.notes else {}
+    return finite({**one, "interrupted": table.interrupted, **notes, "points": points})
 
 
-def family_csv(family: Family) -> str:
+def family_csv(found: Family | Batch | MemberTable) -> str:
     """Write comma-separated values, one row for each point; empty cells where there is no solution."""
-    document = family_document(family)
-    names = _result_units(document)
+    table = member_table(found)
+    axes = [shown_column(axis) for axis in table.axes]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    axes = document.get("parameters", [{"name": document.get("parameter"), "unit": document.get("unit")}])
-    heads = [f"{axis['name']} [{axis['unit']}]" for axis in axes] + [f"{name} [{unit}]" for name, unit in names.items()]
+    heads = [f"{column.name} [{column.unit}]" for column in (*axes, *table.results)]
     writer.writerow([*heads, "outcome", "verification_level", "message"])
-    for point in document["points"]:
-        found = [point["results"].get(name, {}).get("value") for name in names]
-        cells = ["" if v is None else repr(v) for v in (*point.get("values", [point.get("value")]), *found)]
-        said = "; ".join(text for text in (point["tolerance_used"], str(point["message"] or "")) if text)
-        writer.writerow([*cells, point["outcome"], point["verification_level"], " ".join(said.split())])
+    columns = [[repr(round_degrees(value, axis.unit)) for value in axis.values.tolist()] for axis in axes]
+    columns += [[repr(v) if math.isfinite(v) else "" for v in c.values.tolist()] for c in table.results]
+    for i, cells in enumerate(zip(*columns, strict=True)):
+        said = "; ".join(text for text in (table.tolerances[i], table.messages[i]) if text)
+        writer.writerow([*cells, table.outcomes[i], table.levels[i], " ".join(said.split())])
     return text.getvalue()
 
 
-def family_figure(family: Family) -> Figure:
+def family_figure(found: Family | Batch | MemberTable) -> Figure:
     """Draw each result that varies against the one parameter, in panels; unproved points stand out."""
     from perilune.report.time_histories import family_panels
 
-    document = family_document(family)
-    value = np.array([point["value"] for point in document["points"]])
-    table = {
-        f"{name.replace('_', ' ')} ({unit})": np.array(
-            [point["results"].get(name, {}).get("value", math.nan) for point in document["points"]],
-            dtype=float,
-        )
-        for name, unit in _result_units(document).items()
-    }
+    table = member_table(found)
+    (axis,) = [shown_column(axis) for axis in table.axes]
+    value = np.array([round_degrees(value, axis.unit) for value in axis.values.tolist()])
+    panels = {f"{c.name.replace('_', ' ')} ({c.unit})": c.values for c in table.results}
     shown = {
         text: y
-        for text, y in table.items()
+        for text, y in panels.items()
         if np.isfinite(y).any() and _changes_visibly(y) and not _repeats_parameter(y, value)
     }
-    name = document["parameter"].replace("_", " ")
-    doubted = np.array([point["outcome"] == Outcome.NOT_PROVED.name for point in document["points"]], dtype=bool)
+    doubted = np.array([outcome == Outcome.NOT_PROVED.name for outcome in table.outcomes], dtype=bool)
     order = np.argsort(value)  # a list of values may be asked for in any
-    drawn = {text: y[order] for text, y in (shown or table).items()}
-    return family_panels(value[order], drawn, f"{name} ({document['unit']})", doubted[order])
+    drawn = {text: y[order] for text, y in (shown or panels).items()}
+    return family_panels(value[order], drawn, f"{axis.name.replace('_', ' ')} ({axis.unit})", doubted[order])
 
 
 def write_family(
-    family: Family, directory: str | Path, force: bool = False, axes: Mapping[str, str | None] | None = None
+    found: Family | Batch | MemberTable,
+    directory: str | Path,
+    force: bool = False,
+    axes: Mapping[str, str | None] | None = None,
 ) -> None:
     """Write ``family.csv``, ``family.json`` and, along one parameter or two, ``family.png`` / ``.svg``.
 
     Parameters
     ----------
-    family
+    found
         What is written.
     directory, force
         As of `fresh_directory`.
@@ -124,39 +113,33 @@ def write_family(
     NotWrittenError
         If a table or figure cannot be written; the other files are there then.
     """
-    from perilune.families import grid_of
     from perilune.report.style import save_figure
 
+    table = member_table(found)
+
     writers: dict[str, Callable[[Path], object]] = {
-        f"{FAMILY_NAME}.csv": lambda path: path.write_text(family_csv(family), encoding="utf-8", newline="")
+        f"{FAMILY_NAME}.csv": lambda path: path.write_text(family_csv(table), encoding="utf-8", newline="")
     }
-    if len(family.parameters) == 1:
-        writers[FAMILY_NAME] = lambda path: save_figure(family_figure(family), path.parent, path.name)
-    elif any((axes or {}).values()) or _has_map(family, grid_of(family)):
+    if len(table.parameters) == 1:
+        writers[FAMILY_NAME] = lambda path: save_figure(family_figure(table), path.parent, path.name)
+    elif any((axes or {}).values()) or _has_map(table):
         from perilune.report.contour_map import family_map
 
-        writers[FAMILY_NAME] = lambda path: save_figure(family_map(family, **(axes or {})), path.parent, path.name)
+        writers[FAMILY_NAME] = lambda path: save_figure(family_map(table, **(axes or {})), path.parent, path.name)
     with fresh_directory(directory, force) as work:
-        (work / f"{FAMILY_NAME}.json").write_text(json_text(family_document(family)), encoding="utf-8")
+        (work / f"{FAMILY_NAME}.json").write_text(json_text(family_document(table)), encoding="utf-8")
         failed = write_each(work, writers)
     refuse_unwritten(failed)
 
 
-def _has_map(family: Family, placed: np.ndarray | None) -> bool:
+def _has_map(table: MemberTable) -> bool:
     """Return True if a family makes a map unasked: two parameters on a grid, and three solved neighbours."""
+    placed = table.grid
     if placed is None or placed.ndim != 2 or min(placed.shape) < 2:
         return False
-    solved = np.array([p.solution is not None for p in family.points])[placed]
+    solved = table.solved[placed]
     corners = solved[1:, 1:].astype(int) + solved[:-1, 1:] + solved[1:, :-1] + solved[:-1, :-1]
     return bool((corners >= 3).any())
-
-
-def _result_units(document: dict[str, Any]) -> dict[str, str]:
-    """Find the unit of every result that any point has, in order of first appearance."""
-    units: dict[str, str] = {}
-    for point in document["points"]:
-        units |= {name: entry["unit"] for name, entry in point["results"].items() if name not in units}
-    return units
 
 
 def _changes_visibly(values: np.ndarray) -> bool:
