@@ -96,6 +96,19 @@ def test_a_control_that_breaks_the_path_at_the_end_does_not_answer() -> None:
     assert pl.verify(batch.solution(2), 2).outcome is Outcome.PROVED
 
 
+def test_a_control_that_breaks_the_path_between_two_steps_does_not_answer() -> None:
+    """u = 6 - 12 t must keep off a value that it passes half-way between two of the 48 steps, by less than a step."""
+    problem = braked(6.2)
+    path = pl.Conditions(lambda x, u, p, xp: ((u.u - p.most) ** 2 - 0.01 * p.way**2 / p.T**4,), room="m^2/s^4")
+    problem = replace(problem, phases=(replace(problem.phases[0], path=path),))
+    between = [6 - 12 * (step + 0.5) / 48 for step in (0, 1, 2)]
+    batch = solve_many(
+        problem, {"most": [*between, 8.0]}, pl.solve(problem.with_given(most=7.0), verify=0), search=False
+    )
+    assert batch.outcomes.tolist() == [*["NOT_CONVERGED"] * 3, "SOLVED"]
+    assert batch.objective[3] == pytest.approx(6.0, rel=1e-12)
+
+
 def test_lanes_have_the_effort_of_a_constant_mass() -> None:
     """Of several parameters at once, in closed form."""
     problem = constant_mass(1.6, 100.0, 5.0, 100.0)

@@ -256,14 +256,14 @@ def extrapolated_step(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
 
 
 def _minimum_inside_step(smooth: tuple[ca.SX, ca.SX], rate: Any, before: ca.SX, after: ca.SX, h: ca.SX) -> ca.SX:
-    """Return the least of conditions on states inside a step, by the cubic of values and rates at both ends."""
-    x, conditions = smooth
+    """Return the least of conditions inside a step, by the cubic of values and rates at both ends."""
+    point, conditions = smooth
     if not conditions.numel():
         return ca.SX(FAR)
-    way, n = ca.SX.sym("way", x.numel()), x.numel()
-    changes = ca.jtimes(conditions, x, way)
+    way, n = ca.SX.sym("way", point.numel()), point.numel()
+    changes = ca.jtimes(conditions, point, way)
     (a, b), (far, slope) = (
-        ca.substitute([conditions, h * changes], [x, way], [z[:n], rate(z)[:n]]) for z in (before, after)
+        ca.substitute([conditions, h * changes], [point, way], [z[:n], rate(z)[:n]]) for z in (before, after)
     )
     c, d = 3 * (far - a) - 2 * b - slope, 2 * (a - far) + b + slope
     below = c + ca.sqrt(ca.fmax(c * c - 3 * b * d, 0))  # of a + b s + c s^2 + d s^3, which turns up at -b/below
@@ -276,8 +276,8 @@ def _margins_at(
 ) -> tuple[ca.SX, ca.SX, ca.SX, tuple[ca.SX, ca.SX]]:
     """Return the least condition at a point, the least excess of H of other controls, and H of the flown one.
 
-    On a boundary arc other controls leave it, and are compared by L. Last come symbols for the states, with the
-    conditions on states only.
+    On a boundary arc other controls leave it, and are compared by L. Last come symbols for z, with the conditions as
+    functions of it, of the control that is flown too; of a phase that settles those on states only.
     """
     problem, extremal = rides.stated, rides.conditions.phases[k]
     phase = problem.phases[k]
@@ -325,9 +325,13 @@ def _margins_at(
             gain = ca.if_else(ca.norm_inf(told[always]) <= _KEPT, gain, FAR)
         others.append(gain)
     least = ca.mmin(ca.vertcat(*others)) if others else ca.SX(FAR)
-    alone = ca.vertcat(ca.SX(0, 1), *(e for e in ca.vertsplit(conditions) if not ca.depends_on(e, u)))
-    alone = ca.substitute(alone, ca.vertcat(*known), ca.vertcat(given, free, plain))
-    return ca.mmin(kept) if kept.numel() else ca.SX(FAR), least, best, (x, alone)
+    point = ca.SX.sym("z", z.numel())
+    if extremal.settles:
+        smooth = ca.vertcat(ca.SX(0, 1), *(e for e in ca.vertsplit(conditions) if not ca.depends_on(e, u)))
+        inside = ca.substitute(smooth, ca.vertcat(x, *known), ca.vertcat(point[:n], given, free, plain))
+    else:
+        inside = value(point[:n], extremal.reports[mode](point, numbers)[0], costate, given, free, plain)[1]
+    return ca.mmin(kept) if kept.numel() else ca.SX(FAR), least, best, (point, inside)
 
 
 def _admissible_controls(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
