@@ -42,10 +42,16 @@ class MovedStart:
 
 
 def with_start_offsets(problem: Problem) -> Problem:
-    """Return the problem with a given parameter ``offset_<state>``, 0, for each component of its initial state."""
+    """Return the problem with a given parameter ``offset_<state>``, 0, for each component of its initial state.
+
+    The same whenever it is asked for, so that its functions are traced once.
+    """
+    if (known := problem.__dict__.get("with_start_offsets")) is not None:
+        return known
     offsets = {offset_of(s.name): Parameter(value=0.0, unit=s.unit) for s in problem.phases[0].states}
     given = MappingProxyType({**problem.given, **offsets})
-    return problem.changed(start=MovedStart(problem), given=given, form=None)
+    problem.__dict__["with_start_offsets"] = moved = problem.changed(start=MovedStart(problem), given=given, form=None)
+    return moved
 
 
 def move_start(problem: Problem, **values: float) -> Problem:

@@ -25,7 +25,7 @@ from perilune.core import PeriluneError, quotient_unit, sign_of_life
 from perilune.methods import Method
 from perilune.problem import Check, Conditions, Extremal, Nature, Phase, Problem, Solution, fix_free_parameters
 from perilune.proof.feasible.feasibility import check_feasibility
-from perilune.proof.feasible.phase_data import PhaseData, objective_size
+from perilune.proof.feasible.phase_data import objective_size, phase_data_of
 from perilune.proof.feasible.reintegration import reintegrate
 
 if TYPE_CHECKING:
@@ -223,7 +223,7 @@ def _compare_parameters(solution: Solution, rival: Solution, error: float) -> It
 
 def _compare_curves(solution: Solution, rival: Solution, index: int, error: float) -> Iterator[Check]:
     """States at equal shares of the phase; costates by their root mean square, as ends hold only on the average."""
-    arc, other = (PhaseData(solution=s, index=index) for s in (solution, rival))
+    arc, other = (phase_data_of(s)[index] for s in (solution, rival))
     share, cost = np.linspace(0.0, 1.0, _TIMES), solution.problem.objective_unit
     for kind, unit, limit in (("state", arc.state_scale, AGREEMENT * error),
                               ("costate", arc.objective_scale / arc.state_scale, COVECTOR + COSTATE_AGREEMENT * error),

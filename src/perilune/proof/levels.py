@@ -18,7 +18,7 @@ from perilune.methods import Method
 from perilune.problem import LEVELS, OWN_TEXT, Check, Problem, Solution, Tolerance, Verification
 from perilune.proof.cross_check import check_agreement
 from perilune.proof.feasible.feasibility import check_feasibility, check_tables
-from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.phase_data import keep_phase_data, phase_data_of
 from perilune.proof.feasible.reintegration import reintegrate
 from perilune.proof.necessary.constraint_activity import may_meet_condition
 from perilune.proof.necessary.first_order import check_extremality
@@ -68,7 +68,7 @@ def examine(
     checks, notes = list[Check](), _notes_on_loaded_problem(solution.problem)
     try:
         # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), keep_phase_data():
             for check in _checks_in_order(solution, level, resolve, other, tolerance, checks):
                 sign_of_life(f"proof: level {check.level}, {check.name}")
                 checks.append(raise_limit(check, tolerance))
@@ -142,7 +142,7 @@ def _checks_in_order(
             if level >= 3:
                 kept, idle = rides.kept_conditions(), rides.kept_conditions(idle=False)
                 strict = [check for check in found if check.level == 3]
-        yield from check_extremality(parts, flown if parts is solution else reintegrate(parts))
+        yield from check_extremality(parts)
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):
             yield from _local_optimality_checks(parts, kept, idle, strict)
             if not _has_failed_feasibility(made) and not _has_no_answer(made):
@@ -186,10 +186,10 @@ def _idle_controls(parts: Solution, found: Sequence[Check]) -> dict[str, str]:
     One that is called as a control is left out: the check may be that of the control, which nothing excuses.
     """
     strict = {
-        f"{PhaseData(solution=parts, index=k).prefix}strict_{condition.name}": condition.name
-        for k, phase in enumerate(parts.problem.phases)
-        for condition in phase.path_conditions
-        if condition.name not in phase.control_names
+        f"{arc.prefix}strict_{condition.name}": condition.name
+        for arc in phase_data_of(parts)
+        for condition in arc.phase.path_conditions
+        if condition.name not in arc.phase.control_names
     }
     return {c.name: strict[c.name] for c in found if c.name in strict and not c.passed}
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,6 +23,7 @@ from perilune.core import (
     NUMERIC,
     PeriluneError,
     Scales,
+    Vector,
     check_call,
     comparison_fails,
     quantity,
@@ -293,6 +294,12 @@ def hybrid_landing(
     return problem if burn.delta_v is None else problem.with_given(retro_delta_v=burn.delta_v)
 
 
+@cache
+def _quadrature() -> tuple[Vector, Vector]:
+    """Return points and weights of Gauss's rule on [-1, 1], whose computation takes as long as all checks here."""
+    return np.polynomial.legendre.leggauss(64)
+
+
 def mass_consistency_checks(solution: Solution) -> tuple[Check, ...]:
     """The exported masses against the rocket equation, which integrates to closed form: nothing is flown.
 
@@ -309,7 +316,7 @@ def mass_consistency_checks(solution: Solution) -> tuple[Check, ...]:
     p, scales, flown = solution.parameters, solution.problem.scales, solution.trajectories[0]
     mass = [x[-1] for x in (flown.state(0.0), flown.state(p.flight_time))]
     exhaust_speed = p.vehicle_specific_impulse * p.vehicle_standard_gravity
-    node, weight = np.polynomial.legendre.leggauss(64)
+    node, weight = _quadrature()
     acceleration = solution.outputs(0, 0.5 * p.flight_time * (1 + node))["thrust_acceleration"]
     gained = 0.5 * p.flight_time * float(weight @ acceleration)
     retro_ratio = math.exp(-p.retro_delta_v / (p.retro_specific_impulse * p.vehicle_standard_gravity))

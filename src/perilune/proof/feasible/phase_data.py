@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, wraps
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,6 +34,7 @@ from perilune.proof.feasible.mixed_constraints import ON_BOUND, MixedConstraints
 from perilune.proof.feasible.piece_refinement import halve_until_settled
 from perilune.proof.feasible.sample_points import (
     BLOCK,
+    ENDS,
     POINTS,
     WEIGHTS,
     Pieces,
@@ -67,6 +70,11 @@ class PhaseData:
     def trajectory(self) -> Trajectory:
         """The exported trajectory of the phase."""
         return self.solution.trajectories[self.index]
+
+    @cached_property
+    def computed(self) -> dict[Any, Any]:
+        """Results of functions of this phase, by function (`once_for_phase`)."""
+        return {}
 
     @cached_property
     def p(self) -> Any:
@@ -323,8 +331,18 @@ class PhaseData:
         shares
             Fractions of each interval, 0 to 1, shape (count,), or (N, count) where they differ.
         """
+        # Most checks look at the same times.
+        often = "looked_at" in self.__dict__ and pieces is self.looked_at[0] and (shares is POINTS or shares is ENDS)
+        key = "at points" if shares is POINTS else "at ends"
+        if often and key in self.computed:
+            return self.computed[key]
         x, u, *lam = (pieces.read(curve, shares) for curve in self.curves)
-        return x, normalised(self.phase.controls, u), lam[0] if lam else np.full(x.shape, np.nan)
+        found = x, normalised(self.phase.controls, u), lam[0] if lam else np.full(x.shape, np.nan)
+        if often:
+            for values in found:
+                values.flags.writeable = False
+            self.computed[key] = found
+        return found
 
     def slopes(self, pieces: Pieces) -> Slopes:
         """The equations of motion on the tables."""
@@ -364,13 +382,61 @@ class PhaseData:
         return Sampled(t=pieces.times().ravel(), weights=(pieces.width[:, None] * WEIGHTS).ravel(), x=x, u=u, lam=lam)
 
 
+Value = TypeVar("Value")
+
+
+def once_for_phase(function: Callable[[PhaseData], Value]) -> Callable[[PhaseData], Value]:
+    """Make a function of a phase look up what it returned before; arrays can no longer be changed."""
+
+    @wraps(function)
+    def look_up(arc: PhaseData) -> Value:
+        if function not in arc.computed:
+            found = function(arc)
+            for array in found if isinstance(found, tuple) else (found,):
+                if isinstance(array, np.ndarray):
+                    array.flags.writeable = False
+            arc.computed[function] = found
+        return arc.computed[function]
+
+    return look_up
+
+
+_KEPT: ContextVar[dict[int, tuple[PhaseData, ...]] | None] = ContextVar("kept phase data", default=None)
+
+
+@contextmanager
+def keep_phase_data() -> Iterator[None]:
+    """Compute what is known of a phase once for all checks inside the block."""
+    token = _KEPT.set({})
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
+
+
+def phase_data_of(solution: Solution) -> tuple[PhaseData, ...]:
+    """Return the data of all phases, in a block of `keep_phase_data` the same for the same solution."""
+    kept = _KEPT.get()
+    if kept is None:
+        kept = {}
+    if id(solution) not in kept:  # which stays alive with them
+        kept[id(solution)] = tuple(PhaseData(solution=solution, index=k) for k in range(len(solution.problem.phases)))
+    return kept[id(solution)]
+
+
 def objective_size(solution: Solution) -> float:
     """Size of J [SI]: what it is, and at least its canonical unit or the scale of its own.
 
     A constant in it, as of a clock that does not begin at 0, is no size: beyond a thousand canonical units, J counts up
     to a thousand times what the flight changes of it.
     """
-    problem, reached, changed = solution.problem, abs(solution.objective), _flight_change_of_objective(solution)
+    return _objective_size(phase_data_of(solution)[-1])
+
+
+@once_for_phase
+def _objective_size(last: PhaseData) -> float:
+    solution, problem = last.solution, last.problem
+    reached, changed = abs(solution.objective), _flight_change_of_objective(last)
     unit = problem.scales.of(problem.objective_unit)
     unit = min(unit, supported_unit(unit, max(reached, changed)))
     if reached > BEYOND * max(unit, problem.objective_size):
@@ -394,10 +460,9 @@ def free_size(solution: Solution, free: FreeParameter) -> float:
     return supported_unit(solution.problem.scales.of(free.unit), max(told))
 
 
-def _flight_change_of_objective(solution: Solution) -> float:
+def _flight_change_of_objective(last: PhaseData) -> float:
     """Return how much the flight and the free parameters change J, to first order [SI]."""
-    problem, p = solution.problem, solution.parameters
-    last = PhaseData(solution=solution, index=len(problem.phases) - 1)
+    solution, problem, p = last.solution, last.problem, last.p
     spans = np.zeros(len(last.phase.states))
     for phase, flown in zip(problem.phases, solution.trajectories, strict=True):
         of_phase = dict(zip(phase.state_names, np.ptp(flown.state.values, axis=0).tolist(), strict=True))
@@ -440,11 +505,13 @@ def slopes_at(arc: PhaseData, t: Vector, function: Callable[[Any], Any]) -> Matr
     return complex_step_jacobian(lambda z: stack_broadcast(function(z), z.shape[1:]), x, arc.state_scale)[:, :, 0]
 
 
+@once_for_phase
 def end_slopes(arc: PhaseData) -> Matrix:
     """`slopes_at_end` of the end conditions."""
     return slopes_at_end(arc, lambda z: arc.phase.evaluate("end", z, (), arc.p, COMPLEX))
 
 
+@once_for_phase
 def objective_slope(arc: PhaseData) -> Vector:
     """`slopes_at_end` of J, in the last phase, (n,)."""
     record = arc.phase.state_record

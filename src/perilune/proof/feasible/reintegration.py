@@ -26,8 +26,8 @@ from perilune.problem import Curve, Solution, normalised
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.deviations import MOST_GROWTH, state_deviation
 from perilune.proof.feasible.gauss_steps import integrate_by_gauss
-from perilune.proof.feasible.phase_data import PhaseData, slopes_at_end
-from perilune.proof.feasible.sample_points import ENDS, cubics, polynomial, time_just_before
+from perilune.proof.feasible.phase_data import PhaseData, phase_data_of, slopes_at_end
+from perilune.proof.feasible.sample_points import ENDS, POINTS, cubics, polynomial, time_just_before
 
 MOST_EVALUATIONS = 30_000  # in a phase, of all points of a step at once: the examples take 30 to 600
 _ALIVE = 64  # evaluations from one sign of life to the next
@@ -94,8 +94,7 @@ def reintegrate(solution: Solution) -> list[tuple[PhaseData, Reintegration]]:
     """Re-integrate every phase, each from the end of the one before."""
     flown: list[tuple[PhaseData, Reintegration]] = []
     ends: tuple[Vector | None, Vector | None] = None, None
-    for k in range(len(solution.problem.phases)):
-        arc = PhaseData(solution=solution, index=k)
+    for k, arc in enumerate(phase_data_of(solution)):
         by_steps, by_pieces = (initial_state(solution, k, end) for end in ends)
         before = error_growth_at_end(*flown[-1], arc) if flown else np.ones(len(arc.state_scale))
         flight = reintegrate_phase(arc, by_steps, by_pieces, before)
@@ -138,10 +137,9 @@ def reintegrate_phase(
     scale = arc.state_scale
     end, apart = integrate_by_steps(arc, by_steps)
     deviation = state_deviation(arc, by_pieces, before)
-    pieces, curve = arc.looked_at[0], arc.trajectory.state
     inside, at_ends = (
-        pieces.read(curve, *shares) + scale[:, None, None] * d
-        for shares, d in (((), deviation.inside), ((ENDS,), deviation.ends))
+        arc.read(arc.looked_at[0], shares)[0] + scale[:, None, None] * d
+        for shares, d in ((POINTS, deviation.inside), (ENDS, deviation.ends))
     )
     return Reintegration(
         ends=(end, at_ends[:, -1, 1]), inside=inside, at_ends=at_ends,

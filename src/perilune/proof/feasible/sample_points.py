@@ -168,9 +168,8 @@ def cubics(curve: Curve, i: Vector) -> Matrix:
     h = (curve.time[i + 1] - curve.time[i])[:, None]
     left, slope, slope_right = curve.values[i], curve.rates[i] * h, curve.rates[i + 1] * h
     jump = curve.values[i + 1] - left
-    return np.stack(
-        [left, slope, 3 * jump - 2 * slope - slope_right, slope + slope_right - 2 * jump], axis=-1
-    ).swapaxes(0, 1)
+    found = np.stack([left, slope, 3 * jump - 2 * slope - slope_right, slope + slope_right - 2 * jump])
+    return found.transpose(2, 1, 0)  # in memory each coefficient by itself, as polynomials are evaluated
 
 
 _FROM_VALUES = np.linalg.inv(POINTS[:, None] ** np.arange(4)).T

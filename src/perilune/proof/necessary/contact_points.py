@@ -26,7 +26,7 @@ import numpy as np
 
 from perilune.core import NUMERIC, Vector
 from perilune.problem import Check, Expression, Solution, depends_on_control, full, scalars
-from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.phase_data import PhaseData, phase_data_of
 from perilune.proof.necessary.constraint_activity import LEAST, table_edges
 from perilune.proof.necessary.first_order import STATIONARY_LIMIT, phase_end_multipliers
 from perilune.proof.necessary.minimum_principle import on_bounds
@@ -57,7 +57,7 @@ def restate_with_contacts(solution: Solution) -> tuple[Solution, Structure]:
     """Return the solution of the problem restated with its contact points and boundary arcs; itself if none."""
     phases = []
     for k, flown in enumerate(solution.trajectories):
-        arc = PhaseData(solution=solution, index=k)
+        arc = phase_data_of(solution)[k]
         known = margins(solution.problem, arc.index) if flown.costate is not None else {}
         found = [
             c for name, (_, S, _) in known.items() if not depends_on_control(S) for c in _contact_times(arc, name, S)
@@ -71,7 +71,7 @@ def restate_with_contacts(solution: Solution) -> tuple[Solution, Structure]:
         # Where multipliers are claimed of these it is the first, in which they can be compared.
         fewer = split_solution(solution, structure, restate(solution.problem, structure, repeated=False))
         stated = {f"{phase.name}.{c.name}" for phase in fewer.problem.phases for c in phase.end_conditions}
-        arcs = (PhaseData(solution=fewer, index=k) for k in range(len(fewer.trajectories)))
+        arcs = phase_data_of(fewer)
         if fewer.multipliers.keys() <= stated and all(
             np.abs(phase_end_multipliers(arc)[1]).max() <= _SAID for arc in arcs
         ):
@@ -162,7 +162,7 @@ def check_contact_multipliers(solution: Solution, parts: Solution, structure: St
     for k, arcs in enumerate(structure.phases):
         conditions = conditions_of(solution.problem, k, structure.named(k))
         for arc in arcs:
-            part = PhaseData(solution=parts, index=number)
+            part = phase_data_of(parts)[number]
             number += 1
             yield from (check for name in arc.touches for check in _check_contact_point(part, conditions[name]))
 

@@ -37,9 +37,10 @@ from perilune.proof.feasible.phase_data import (
     free_size,
     objective_size,
     objective_slope,
+    once_for_phase,
+    phase_data_of,
     slopes_at_end,
 )
-from perilune.proof.feasible.reintegration import Reintegration
 from perilune.proof.feasible.sample_points import time_just_before
 from perilune.proof.necessary.minimum_principle import HAMILTONIAN_LIMIT, check_minimality, limit_derivatives
 
@@ -53,29 +54,21 @@ INSIDE = 2  # of a range
 _TOUCHING, _MESH, _WHILE = 1e-6, 50.0, 0.02
 
 
-def check_extremality(solution: Solution, flown: Sequence[tuple[PhaseData, Reintegration]]) -> Iterator[Check]:
-    """Make all checks of level 2.
-
-    Parameters
-    ----------
-    solution
-        What is claimed.
-    flown
-        Of `reintegration.reintegrate`.
-    """
+def check_extremality(solution: Solution) -> Iterator[Check]:
+    """Make all checks of level 2."""
     if any(t.costate is None for t in solution.trajectories):
         yield Check(
             name="costates", level=2, value=float("nan"), limit=0.0, unit="1",
             meaning="the method gave no costates, so that optimality cannot be shown; solve again with Indirect()",
         )  # fmt: skip
         return
-    arcs = [arc for arc, _ in flown]
+    arcs = phase_data_of(solution)
     nu = all_multipliers(arcs)
     deviations = [costate_deviation(arc) for arc in arcs]
     # What follows is known no better than it begins; after the last phase nothing does.
     known = [*(_errors_passed_back(arc, begun) for arc, (_, begun) in zip(arcs, deviations[1:], strict=False)), 0.0]
-    for (arc, flight), multipliers, (deviation, _), ahead in zip(flown, nu, deviations, known, strict=True):
-        yield from _check_costates(arc, flight, deviation)
+    for arc, multipliers, (deviation, _), ahead in zip(arcs, nu, deviations, known, strict=True):
+        yield from _check_costates(arc, deviation)
         yield _check_transversality(arc, ahead)
         yield from _check_range_signs(arc, multipliers)
         yield _check_hamiltonian(arc)
@@ -89,14 +82,14 @@ def check_extremality(solution: Solution, flown: Sequence[tuple[PhaseData, Reint
 
 def _errors_passed_back(arc: PhaseData, begun: Vector) -> Vector:
     """Carry errors of the next phase's initial costates, scaled, to the end of this one, (n,)."""
-    after = PhaseData(solution=arc.solution, index=arc.index + 1)
+    after = phase_data_of(arc.solution)[arc.index + 1]
     link, record = arc.problem.links[arc.index], arc.phase.state_record
     slopes = slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX))
     return (begun / after.state_scale) @ np.abs(slopes)
 
 
-def _check_costates(arc: PhaseData, flight: Reintegration, deviation: Deviation) -> Iterator[Check]:
-    active = _name_active_limits(arc, flight)
+def _check_costates(arc: PhaseData, deviation: Deviation) -> Iterator[Check]:
+    active = _name_active_limits(arc)
     for state, value, growth in zip(arc.phase.states, deviation.largest, deviation.growth, strict=True):
         yield Check(
             name=f"{arc.prefix}costate_{state.name}", level=2, value=float(value), unit="1",
@@ -106,16 +99,18 @@ def _check_costates(arc: PhaseData, flight: Reintegration, deviation: Deviation)
         )  # fmt: skip
 
 
+@once_for_phase
 def end_gradients(arc: PhaseData) -> tuple[Matrix, Vector]:
     """d(psi)/dx, shape (q, n), and the part of lam(t_f) without multipliers, shape (n,); scaled."""
     problem, record = arc.problem, arc.phase.state_record
     if arc.index == len(problem.phases) - 1:
         return end_slopes(arc), objective_slope(arc)
-    ahead = PhaseData(solution=arc.solution, index=arc.index + 1).costate(np.zeros(1))[:, 0]
+    ahead = phase_data_of(arc.solution)[arc.index + 1].costate(np.zeros(1))[:, 0]
     link = problem.links[arc.index]
     return end_slopes(arc), ahead @ slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX))
 
 
+@once_for_phase
 def phase_end_multipliers(arc: PhaseData) -> tuple[Vector, Vector]:
     """Multipliers nu [J per unit] by least squares, and what of lam(t_f) they leave (scaled).
 
@@ -157,7 +152,7 @@ def all_multipliers(arcs: Sequence[PhaseData]) -> list[Vector]:
     A condition only on parameters, as that durations have a given sum, is in no lam(t_f): its multiplier is what
     makes J stationary in the free parameters, by least squares, as far as there is one.
     """
-    nu, size = [phase_end_multipliers(arc)[0] for arc in arcs], objective_size(arcs[0].solution)
+    nu, size = [phase_end_multipliers(arc)[0].copy() for arc in arcs], objective_size(arcs[0].solution)
     bare = [
         (k, i)
         for k, arc in enumerate(arcs)
@@ -183,6 +178,7 @@ def all_multipliers(arcs: Sequence[PhaseData]) -> list[Vector]:
     return nu
 
 
+@once_for_phase
 def end_sides(arc: PhaseData) -> Vector:
     """Return for each end condition 0 for an equality, -1 or 1 at the lower or upper bound of a range, else INSIDE.
 
@@ -377,18 +373,17 @@ def _check_stationarity(arc: PhaseData, free: FreeParameter, parts: Sequence[Any
     )  # fmt: skip
 
 
-def _name_active_limits(arc: PhaseData, flight: Reintegration) -> str:
+def _name_active_limits(arc: PhaseData) -> str:
     """Name the limits at which the flight stays for a while: a failing costate may owe its difference to them."""
     inside = arc.sampled
-    x = flight.inside.reshape(len(arc.phase.states), -1)
-    paths = zip(arc.phase.path_conditions, arc.path_scale, arc.path(x, inside.u), strict=True)
+    paths = zip(arc.phase.path_conditions, arc.path_scale, arc.path(inside.x, inside.u), strict=True)
     margins = [(f"{condition.name} >= 0", size, value) for condition, size, value in paths]
     loose = []  # where the control lies on one of these its multiplier is known
     if arc.allowed:
         known = dict(zip(arc.allowed.places, arc.allowed.active(inside.x, inside.u), strict=True))
         loose = [(*margins[k][:2], np.where(known[k], np.inf, margins[k][2])) for k in known if k < len(margins)]
         margins = [margin for k, margin in enumerate(margins) if k not in known]
-    for state, size, value in zip(arc.phase.states, arc.state_scale, x, strict=True):
+    for state, size, value in zip(arc.phase.states, arc.state_scale, inside.x, strict=True):
         lower, upper = state.limits(arc.p)
         if np.isfinite(lower):
             margins.append((f"{state.name} >= {lower:g}", size, value - lower))

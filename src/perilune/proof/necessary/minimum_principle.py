@@ -27,7 +27,7 @@ from perilune.problem import (
 )
 from perilune.proof.feasible.mixed_constraints import KEPT, ON_BOUND, MixedConstraints, Multipliers
 from perilune.proof.feasible.numerics import significant_size
-from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.phase_data import PhaseData, once_for_phase
 from perilune.proof.feasible.sample_points import time_just_before
 
 # In canonical units. Measured on good answers: H 7e-11, slopes of directions 2e-11, at switches 2e-12.
@@ -198,13 +198,11 @@ def _check_minimum(arc: PhaseData) -> Check:
                 worst, hamiltonian_gain(arc, x[:, None, :, 0], u[:, None, :, 0], tried, lam[:, None, :, 0])
             )
     samples = math.prod(len(part) for part in parts)
-    width = max(1, _AT_ONCE // samples)
+    width, tables = max(1, _AT_ONCE // samples), [np.stack(part, axis=1) for part in parts]
     for k in range(0, count, width):
-        at = slice(k, k + width)
-        tried = product_of([np.stack([value[:, at] for value in part], axis=1) for part in parts])
-        worst = np.maximum(
-            worst, hamiltonian_gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0])
-        )
+        here = (slice(None), *(None,) * len(parts), slice(k, k + width), 0)
+        tried = with_own_axes([table[:, :, k : k + width] for table in tables])
+        worst = np.maximum(worst, hamiltonian_gain(arc, x[here], u[here], tried, lam[here]))
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
         value=float(worst) / arc.rate_scale,
@@ -241,19 +239,22 @@ def _samples_on_conditions(
     return more, joint
 
 
+def with_own_axes(parts: Sequence[Any]) -> list[Any]:
+    """Return all components of the samples (components, S, N) of each control, which broadcast to (S, S', ..., N)."""
+    return [
+        component.reshape(*(component.shape[0] if j == i else 1 for j in range(len(parts))), -1)
+        for i, part in enumerate(parts)
+        for component in part
+    ]
+
+
 def product_of(parts: Sequence[Any]) -> Any:
     """Return every combination of the samples (components, S, N) of each control, (all components, product of S, N)."""
-    shape = tuple(part.shape[1] for part in parts)
-    rows = []
-    for i, part in enumerate(parts):
-        own = part.reshape(len(part), *(size if j == i else 1 for j, size in enumerate(shape)), part.shape[2])
-        rows.append(np.broadcast_to(own, (len(part), *shape, part.shape[2])).reshape(len(part), -1, part.shape[2]))
-    return np.concatenate(rows)
+    every = np.broadcast_arrays(*with_own_axes(parts))
+    return np.stack([component.reshape(-1, component.shape[-1]) for component in every])
 
 
-def hamiltonian_gain(
-    arc: PhaseData, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving: bool = False
-) -> float:
+def hamiltonian_gain(arc: PhaseData, x: Matrix, u: Matrix, tried: Any, lam: Matrix, *, leaving: bool = False) -> float:
     """Return the most that admissible controls of `tried` lower H below its value with u; shapes broadcast.
 
     Parameters
@@ -263,7 +264,7 @@ def hamiltonian_gain(
     x, u, lam
         States, controls [SI] and costates [J per state], (components, ...).
     tried
-        Other controls [SI], (k, ...).
+        Other controls [SI], (k, ...), or k arrays.
     leaving
         True to admit controls that violate the held conditions.
 
@@ -278,13 +279,15 @@ def hamiltonian_gain(
         places = list(arc.allowed.places)
         slack[places] = np.minimum(slack[places], KEPT * arc.allowed.sizes)
     count = len(arc.path_scale)
-    for near, value in zip(slack[:count], arc.path(x, tried), strict=True):
-        H = np.where(value < -near, np.inf, H)
-    for near, value in [] if leaving else zip(slack[count:], arc.held(x, tried), strict=True):
+    path, held = (arc.phase.evaluate(each, list(x), list(tried), arc.p) for each in ("path", "held"))
+    for near, value in zip(slack[:count], path, strict=True):
+        H = np.where(np.less(value, -near), np.inf, H)
+    for near, value in [] if leaving else zip(slack[count:], held, strict=True):
         H = np.where(np.abs(value) > near, np.inf, H)
-    return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
+    return float(np.maximum(np.max(arc.hamiltonian(x, u, lam) - H), 0.0))
 
 
+@once_for_phase
 def control_sizes(arc: PhaseData) -> Vector:
     """Return the sizes of the control components by which slopes of H are judged [SI].
 
@@ -300,6 +303,7 @@ def control_sizes(arc: PhaseData) -> Vector:
     )
 
 
+@once_for_phase
 def varied_sizes(arc: PhaseData) -> Vector:
     """Return the change of each control component that changes H by as much as J over the flight's time [SI].
 
@@ -322,6 +326,7 @@ def _control_units(arc: PhaseData) -> Vector:
     return np.maximum(units, alike) if len(alike) else units
 
 
+@once_for_phase
 def _slope_weights(arc: PhaseData) -> Vector:
     """The terms of the slope of H in each control component, by their amounts, over J and the time of the flight."""
     scale, t = arc.control_scale, arc.cut.left[:: len(arc.cut) // _LOOKS + 1]
@@ -374,6 +379,7 @@ def _size_factors(arc: PhaseData) -> Vector:
     return np.concatenate(rows)
 
 
+@once_for_phase
 def gradient_along(arc: PhaseData) -> tuple[Vector, Matrix, Matrix, Multipliers | None]:
     """Times inside all pieces, at its ends and on both sides of breaks; control and `control_gradient` there."""
     breaks = np.setdiff1d(arc.breaks, arc.crossed)

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from perilune.problem import Conditions, Phase, Solution
-from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.phase_data import PhaseData, phase_data_of
 from perilune.proof.necessary.first_order import INSIDE, end_gradients, end_sides
 
 _ON = 1e-7  # of a state: on its bound
@@ -67,7 +67,7 @@ def _bounds_reached(arc: PhaseData) -> Iterator[tuple[int, int]]:
 def with_end_bounds(solution: Solution) -> Solution:
     """Return the solution as one of the problem with such bounds as end conditions; itself where there is none."""
     problem = solution.problem
-    held = [end_bound_multipliers(PhaseData(solution=solution, index=k)) for k in range(len(problem.phases))]
+    held = [end_bound_multipliers(arc) for arc in phase_data_of(solution)]
     if not any(held):
         return solution
     phases = tuple(

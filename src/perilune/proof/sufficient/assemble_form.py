@@ -10,7 +10,7 @@ import numpy as np
 from perilune.core import COMPLEX, Matrix, Vector, complex_step_jacobian, sign_of_life, stack_broadcast
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.numerics import hessian
-from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.phase_data import phase_data_of
 from perilune.proof.feasible.sample_points import time_just_before
 from perilune.proof.necessary.first_order import INSIDE, STATIONARY_LIMIT, all_multipliers, end_sides
 from perilune.proof.sufficient.quadratic_form import QuadraticForm
@@ -101,11 +101,7 @@ def _derivatives_along(
 
 def _tied_length_row(piece: VariationPiece, parameters: Matrix) -> Matrix:
     """Return the row that ties a phase's length in proportion to that of the one before, if stated (rows, columns)."""
-    arcs = (
-        [PhaseData(solution=piece.arc.solution, index=piece.arc.index - step) for step in (1, 0)]
-        if piece.kept.tied
-        else []
-    )
+    arcs = phase_data_of(piece.arc.solution)[piece.arc.index - 1 : piece.arc.index + 1] if piece.kept.tied else []
     places = [piece.names.index(arc.phase.duration) for arc in arcs if arc.phase.duration in piece.names]
     if len(places) < 2:
         return np.zeros((0, parameters.shape[1]))
@@ -150,7 +146,7 @@ def _start_variation(piece: VariationPiece, dx: Matrix, parameters: Matrix) -> t
         def values(z: Any, p: Any) -> Any:
             return problem.start(p, COMPLEX)
     else:
-        before = PhaseData(solution=arc.solution, index=arc.index - 1)
+        before = phase_data_of(arc.solution)[arc.index - 1]
         x, scale = before.state(np.array([before.duration]))[:, 0], before.state_scale
         moves = np.vstack([dx, parameters])
 

@@ -45,7 +45,7 @@ import numpy as np
 
 from perilune.core import COMPLEX, STEP, Matrix, Vector, stack_broadcast
 from perilune.problem import Check, Solution, control_slices, scalars
-from perilune.proof.feasible.phase_data import PhaseData, end_slopes, free_size, slopes_at_end
+from perilune.proof.feasible.phase_data import PhaseData, end_slopes, free_size, phase_data_of, slopes_at_end
 from perilune.proof.necessary.boundary_arc import ALONG, BoundaryArc
 from perilune.proof.necessary.contact_points import MET, SIDEWAYS, STRICT
 from perilune.proof.necessary.first_order import phase_end_multipliers, unbounded_parameters
@@ -102,7 +102,7 @@ class BoundaryArcs:
             }
             begins.add(len(along))
             for arc in arcs:
-                part = PhaseData(solution=parts, index=len(along))
+                part = phase_data_of(parts)[len(along)]
                 along.append(tuple(BoundaryArc(part=part, condition=conditions[name]) for name in arc.along))
                 touches.append(tuple(conditions[name] for name in arc.touches))
         return cls(
@@ -112,7 +112,7 @@ class BoundaryArcs:
     @cached_property
     def arcs(self) -> list[PhaseData]:
         """The parts."""
-        return [PhaseData(solution=self.parts, index=k) for k in range(len(self.boundary_arcs))]
+        return list(phase_data_of(self.parts))
 
     def inner(self, joint: int) -> bool:
         """Return True if a joint, the one before the part of its number, lies inside one of the user's phases."""
@@ -202,7 +202,7 @@ class BoundaryArcs:
         if joint:
             before = self.arcs[joint - 1]
             # The user's own, as some may be left out of the restated ones.
-            own = PhaseData(solution=self.whole, index=sum(begin < joint for begin in self.begins) - 1)
+            own = phase_data_of(self.whole)[sum(begin < joint for begin in self.begins) - 1]
             stated = [not c.ranged for c in own.phase.end_conditions]
             return list(end_slopes(own)[stated] / own.state_scale * before.state_scale)
         return list(_fixed_directions(self.arcs[0], unbounded_parameters(self.parts, self.arcs)))

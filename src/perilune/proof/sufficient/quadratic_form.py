@@ -79,4 +79,6 @@ def newton_gain(forms: QuadraticForm) -> float:
     form, slope = free.T @ forms.form @ free, free.T @ forms.slope
     if not form.size:
         return 0.0
-    return abs(0.5 * float(slope @ np.linalg.lstsq(form, slope, rcond=_NOTHING)[0]))
+    sizes, vectors = np.linalg.eigh(form)
+    told = np.abs(sizes) > _NOTHING * np.abs(sizes).max()
+    return abs(0.5 * float(((slope @ vectors)[told] ** 2 / sizes[told]).sum()))

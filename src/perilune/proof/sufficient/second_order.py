@@ -42,7 +42,7 @@ from functools import cache
 import numpy as np
 
 from perilune.problem import Check, Solution, scalars
-from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.phase_data import PhaseData, phase_data_of
 from perilune.proof.necessary.first_order import unbounded_parameters
 from perilune.proof.sufficient.active_controls import check_strict_conditions
 from perilune.proof.sufficient.assemble_form import assemble_second_variation
@@ -71,7 +71,7 @@ def check_local_optimality(solution: Solution, kept: Mapping[int, KeptConditions
     kept
         Of `BoundaryArcs.kept_conditions`, where it has boundary arcs.
     """
-    arcs = [PhaseData(solution=solution, index=k) for k in range(len(solution.problem.phases))]
+    arcs = phase_data_of(solution)
     inner = unbounded_parameters(solution, arcs)
     durations = [name for name in inner if name in solution.problem.duration_names]
     pieces = variation_pieces(arcs, inner, kept or {})

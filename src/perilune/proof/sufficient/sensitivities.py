@@ -25,7 +25,7 @@ from perilune.problem import (
     release_free_parameters,
     with_start_offsets,
 )
-from perilune.proof.feasible.phase_data import PhaseData, objective_size
+from perilune.proof.feasible.phase_data import objective_size, phase_data_of
 from perilune.proof.necessary.first_order import all_multipliers, is_at_bounds, unbounded_parameters
 
 Resolve = Callable[[Problem, Solution], Solution]
@@ -74,7 +74,7 @@ def _with_implied_multipliers(solution: Solution) -> Solution:
 
     Neighbours keep its active ranges: nothing else shows that a duration in two parts is at its longest.
     """
-    arcs = [PhaseData(solution=solution, index=k) for k in range(len(solution.problem.phases))]
+    arcs = phase_data_of(solution)
     implied = {
         f"{arc.phase.name}.{condition.name}": float(value)
         for arc, nu in zip(arcs, all_multipliers(arcs), strict=True)
@@ -87,7 +87,7 @@ def _check_initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Ch
     problem, costate = with_start_offsets(solution.problem), solution.trajectories[0].costate
     if costate is None:
         return
-    arcs = [PhaseData(solution=solution, index=k) for k in range(len(problem.phases))]
+    arcs = phase_data_of(solution)
     arc = arcs[0]
     durations = [name for name in unbounded_parameters(solution, arcs) if name in problem.duration_names]
     chosen = {f.name: solution.free[f.name] for f in problem.free if f.name not in durations}

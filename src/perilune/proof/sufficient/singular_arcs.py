@@ -30,7 +30,7 @@ import numpy as np
 from perilune.core import Vector
 from perilune.problem import scalars
 from perilune.proof.feasible.mixed_constraints import ON_BOUND
-from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.phase_data import PhaseData, once_for_phase
 
 _LOOKS = 20  # times of a stretch between two edges
 _INNER = (0.31, 0.5)  # of a range: where H is compared with its chord, which u^3 intersects in the middle
@@ -102,14 +102,19 @@ class Singular:
     @classmethod
     def of(cls, arc: PhaseData) -> Singular:
         """Read off the tables of a phase."""
-        places = tuple(singular_between(arc, left, right) for left, right in pairwise(arc.edges.tolist()))
-        inner = arc.edges[1:-1]
-        beside = [places[i] != places[i + 1] for i in range(len(inner))]
-        return cls(places, np.isin(arc.breaks, inner[np.array(beside, dtype=bool)]))
+        return _singular_arcs(arc)
 
     def ends(self, k: int) -> bool:
         """Return True if a singular arc ends with stretch k."""
         return self.places[k] is not None and (k + 1 == len(self.places) or self.places[k + 1] != self.places[k])
+
+
+@once_for_phase
+def _singular_arcs(arc: PhaseData) -> Singular:
+    places = tuple(singular_between(arc, left, right) for left, right in pairwise(arc.edges.tolist()))
+    inner = arc.edges[1:-1]
+    beside = [places[i] != places[i + 1] for i in range(len(inner))]
+    return Singular(places, np.isin(arc.breaks, inner[np.array(beside, dtype=bool)]))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,7 +40,7 @@ import numpy as np
 
 from perilune.core import Matrix, Vector, complex_step_jacobian
 from perilune.problem import Check, ScalarControl, scalars
-from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.phase_data import PhaseData, once_for_phase
 from perilune.proof.feasible.sample_points import time_just_before
 from perilune.proof.necessary.minimum_principle import (
     HAMILTONIAN_LIMIT,
@@ -83,6 +83,7 @@ class EndSwitch:
     slope: float
 
 
+@once_for_phase
 def end_switches(arc: PhaseData) -> tuple[EndSwitch, ...]:
     """Return switches at the flight's ends in a phase; none if several vanish at once, or H bends between bounds."""
     found = list[EndSwitch]()
@@ -235,6 +236,7 @@ def time_to_switch(arc: PhaseData, t: Vector, ends: list[float] | None = None) -
     return np.abs(t[:, None] - zeros).min(axis=1) if len(zeros) else np.full(len(t), arc.duration)
 
 
+@once_for_phase
 def switch_slopes(arc: PhaseData) -> Vector:
     """D (above) at each break, scaled: 0 where nothing jumps."""
     times, before = arc.breaks, time_just_before(arc.breaks)
