@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import pickle
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,12 @@ def test_a_batch_goes_on_where_it_was_broken_off(
     assert again.solution(1).objective == whole.solution(1).objective
 
 
-def test_an_executor_finds_the_same_bits(landing: Problem, known: Solution, whole: Batch) -> None:
+def test_an_executor_finds_the_same_bits(
+    landing: Problem, known: Solution, whole: Batch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("perilune.families.solve_many._TOGETHER", 2)
+    with ThreadPoolExecutor(2) as threads:
+        assert same(solve_many(landing, POINTS, known, executor=threads), whole)
     batch = solve_many(landing, POINTS, known, executor=Pickling())
     assert same(batch, whole) and pl.verify(batch.solution(0), 1).outcome is pl.Outcome.PROVED
     with pytest.raises(PeriluneError, match="executor"):

@@ -21,6 +21,8 @@ from perilune.core import PeriluneError
 from perilune.families import dask_cluster as on_cluster
 from perilune.families.dask_cluster import cluster
 from perilune.families.executors import run_calls
+from perilune.families.solve_many import solve_many
+from perilune.solve import solve
 
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}
 VARY = ["--vary", "vehicle.thrust=430:450 N"]
@@ -48,6 +50,8 @@ def test_a_worker_that_is_killed_is_no_loss(tmp_path: Path) -> None:
             build(cho_landing(), AXES, tmp_path / "there", machines, callback=watch, sample=1)
             with pytest.raises(PeriluneError, match="tolerance"):
                 build(cho_landing(), AXES, tmp_path / "there", machines, tolerance=1.0)
+            points, known = {"vehicle.thrust": [430.0, 445.0, -1.0]}, solve(cho_landing(), verify=0)
+            batch = solve_many(cho_landing(), points, known, executor=machines)
             assert machines.submit(sorted, [2, 1]).result() == [1, 2]
             with pytest.raises(ZeroDivisionError):
                 machines.submit(divmod, 1, 0).result()
@@ -55,6 +59,8 @@ def test_a_worker_that_is_killed_is_no_loss(tmp_path: Path) -> None:
             waiting.cancel()
             with pytest.raises(BrokenExecutor):
                 waiting.result()
+    alone = solve_many(cho_landing(), points, known)
+    assert batch.objective.tolist()[:2] == alone.objective.tolist()[:2] and batch.messages == alone.messages
     assert killed and shards(tmp_path / "here") == shards(tmp_path / "there")
     assert sample_of(open_atlas(tmp_path / "there")).proved == 1
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from threading import local
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,7 +231,7 @@ class BatchSolver:
         return solver.solution(self.problem_at(values), solver.solve(values[None]), 0)
 
 
-_RECENT = dict[str, BatchSolver]()  # in a process of a pool: its rows of one batch have one solver
+_OWN = local()  # of each thread of a worker: its rows of one batch have one solver
 
 
 def completed_rows(token: str, request: BatchRequest, rows: BatchRows) -> BatchRows:
@@ -243,8 +244,7 @@ def completed_rows(token: str, request: BatchRequest, rows: BatchRows) -> BatchR
     request, rows
         What is asked for, and the rows.
     """
-    if token not in _RECENT:
-        _RECENT.clear()
-        _RECENT[token] = BatchSolver(request)
-    _RECENT[token].complete(rows, ignore_events)
+    if getattr(_OWN, "token", "") != token:
+        _OWN.token, _OWN.solver = token, BatchSolver(request)
+    _OWN.solver.complete(rows, ignore_events)
     return rows
