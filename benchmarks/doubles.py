@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from perilune.core import Batch
+from perilune.core import Stack
 
 # Of a result rounded to nearest 2^-53 is lost at most, and of a radius of up to eight operations not 2^-49.
 _LOST, _UP, _TINY = 2.0**-52, 1 + 2.0**-49, 1e-300  # the last covers what underflows
@@ -89,17 +89,17 @@ class Doubles:
             return Doubles(np.where(fine, c, np.nan), np.where(fine, (0.5 * (b - a) + b * 4 * _LOST) * _UP, np.nan))
 
     @property
-    def low(self) -> Batch:
+    def low(self) -> Stack:
         """No number of it is smaller."""
         return _down(self.c - self.r)
 
     @property
-    def high(self) -> Batch:
+    def high(self) -> Stack:
         """No number of it is larger."""
         return -_down(-self.c - self.r)
 
     @property
-    def size(self) -> Batch:
+    def size(self) -> Stack:
         """No number of it is farther from zero."""
         return (np.abs(self.c) + self.r) * _UP
 
@@ -107,11 +107,11 @@ class Doubles:
         """It with a larger radius."""
         return Doubles(self.c, (self.r + by) * _UP)
 
-    def holds(self, other: Doubles) -> Batch:
+    def holds(self, other: Doubles) -> Stack:
         """In which lanes another lies in it."""
         return np.abs(other.c - self.c) * _UP + other.r * _UP <= self.r
 
-    def excludes(self, value: float) -> Batch:
+    def excludes(self, value: float) -> Stack:
         """In which lanes a number does not lie in it."""
         return (self.low > value) | (self.high < value)
 

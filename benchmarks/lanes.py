@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from doubles import Doubles, ball, between, joined
-from perilune.core import Batch
+from perilune.core import Stack
 from perilune.problem import Problem, UnitVectorControl
 from perilune.rigorous.equations import ProblemReader
 from perilune.rigorous.exact_tape import Unsupported
@@ -109,7 +109,7 @@ class Bundle:
         What is to be added.
     """
 
-    centre: list[Batch]
+    centre: list[Stack]
     columns: list[Vector]
     off: Vector
 
@@ -182,7 +182,7 @@ def _closed(equations: Equations, bundle: Bundle, h: float, order: int) -> Moved
     for _ in range(order):
         powers.append(powers[-1] * h)
     A = equations.slopes.values(tube)
-    centre, off = list[Batch](), list[Doubles]()
+    centre, off = list[Stack](), list[Doubles]()
     ends, tubes = zip(*(_linear(equations, A, v, h, span) for v in (*bundle.columns, bundle.off)), strict=True)
     for own, last, w in zip(polynomial, remainder, ends[-1], strict=True):
         total = ball(own[0])

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from perilune.core.arrays import Batch, Matrix, Physics, Vector
+    from perilune.core.arrays import Matrix, Physics, Stack, Vector
     from perilune.core.callbacks import (
         Iteration,
         Progress,

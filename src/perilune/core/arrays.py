@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 # Floats throughout; `Any`, because NumPy types the results of its linear algebra more loosely than float64.
 Vector = NDArray[Any]  # (n,)
 Matrix = NDArray[Any]  # (m, n)
-Batch = NDArray[Any]  # (lanes, ...)
+Stack = NDArray[Any]  # (lanes, ...)
 
 # A user's physics: dynamics(x, u, p, xp) and its like. The same text runs on floats, arrays and symbols, so its
 # arguments are records of whatever the caller computes with.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions import OptimalityConditions
-from perilune.core import Batch, Matrix, Vector
+from perilune.core import Matrix, Stack, Vector
 from perilune.kernels import LANES, BoundArcs, Engine, Request, compile_map
 from perilune.shooting import newton
 from perilune.shooting.plan import Plan, plan
@@ -86,7 +86,7 @@ class Shared:
         self._given = [(of.reshape(lanes, LANES, -1), getattr(asked, name)) for name, of in own.items()]
         self._side_by_side = np.zeros((lanes, nz, LANES * width))
         self._shares = [array.reshape(lanes, LANES, nz, width) for array in (seeds, self._arcs.columns)]
-        self.columns: Batch = np.empty(asked.seeds.shape)
+        self.columns: Stack = np.empty(asked.seeds.shape)
 
     def __call__(self) -> None:
         """Fly them."""

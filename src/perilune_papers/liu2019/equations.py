@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.core import NUMERIC, Batch, Matrix, Vector
+from perilune.core import NUMERIC, Matrix, Stack, Vector
 from perilune.models import AXIS, combine, free_acceleration
 from perilune_papers.liu2019.case import STEP, dimensionless_constants, paper_units
 from perilune_papers.liu2019.flight_path import (
@@ -186,7 +186,7 @@ def _trigonometry(x: Any) -> tuple[Any, ...]:
     return tuple(f(x[i]) for i in (1, 2, 5) for f in (np.sin, np.cos))
 
 
-def _printed_slips(x: Matrix) -> list[tuple[str, str, str, Batch]]:
+def _printed_slips(x: Matrix) -> list[tuple[str, str, str, Stack]]:
     """Row, printed term, right term, and their difference in all seven rows, shape (7, n)."""
     c, (V, _, _, r, *_) = dimensionless_constants(), x
     sg, cg, sc, cc, sF, cF = _trigonometry(x)

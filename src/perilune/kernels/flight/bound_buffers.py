@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from perilune.core import Batch, Matrix
+from perilune.core import Matrix, Stack
 from perilune.kernels.flight.dense import DenseArc
 from perilune.kernels.flight.records import INFO, MAX_EVENTS, Arcs, ArcStatus, Request
 
@@ -69,10 +69,10 @@ class BoundArcs:
         self.z: Matrix = np.full((lanes, nz), np.nan)
         self.rates: Matrix = np.full((lanes, nz), np.nan)
         # Entries that are zero for every arc are never written.
-        self.columns: Batch = np.zeros((lanes, nz, 0) if asked.seeds is None else asked.seeds.shape)
+        self.columns: Stack = np.zeros((lanes, nz, 0) if asked.seeds is None else asked.seeds.shape)
         self.info: Matrix = np.full((lanes, len(INFO)), np.nan)
         self._status = self.info[:, _STATUS]
-        self.log: Batch = np.empty((lanes, MAX_EVENTS if system.events else 0, 2))
+        self.log: Stack = np.empty((lanes, MAX_EVENTS if system.events else 0, 2))
         self._fly = bind(self)
 
     def __call__(self, threads: int | None = None) -> None:

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from perilune.core import Batch, Matrix, Vector
+from perilune.core import Matrix, Stack, Vector
 from perilune.kernels.flight import tableau
 from perilune.kernels.flight.records import Arcs
 
@@ -56,7 +56,7 @@ class DenseArc:
     z: Matrix
     mode: Vector
     end: Arcs
-    _pieces: Batch  # (8, steps, nz): start, and the seven terms of the interpolant
+    _pieces: Stack  # (8, steps, nz): start, and the seven terms of the interpolant
     _lengths: Vector
 
     def __call__(self, t: ArrayLike, count: int | None = None) -> Matrix:

@@ -11,7 +11,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from perilune.core import Batch, Matrix, PeriluneError, Vector
+from perilune.core import Matrix, PeriluneError, Stack, Vector
 
 #: Events recorded for each lane; an arc with more ends with `ArcStatus.STEP_LIMIT`.
 MAX_EVENTS = 64
@@ -84,7 +84,7 @@ class Arcs:
 
     z: Matrix
     rates: Matrix
-    columns: Batch
+    columns: Stack
     time: Vector
     status: NDArray[np.int64]
     steps: NDArray[np.int64]
@@ -105,7 +105,7 @@ class Request:
     z0: Matrix  # (lanes, nz)
     p: Matrix  # (lanes, np) or (1, np) for all lanes
     duration: Vector  # (lanes,)
-    seeds: Batch | None  # (lanes, nz, nc)
+    seeds: Stack | None  # (lanes, nz, nc)
     rtol: Vector  # (lanes,)
     atol: Vector  # (lanes,)
     mode: Vector  # (lanes,), whole

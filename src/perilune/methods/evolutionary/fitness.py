@@ -29,7 +29,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions import derive, extremal_parameters
-from perilune.core import NUMERIC, Batch, Matrix, Outcome, Vector
+from perilune.core import NUMERIC, Matrix, Outcome, Stack, Vector
 from perilune.methods.indirect.export_arcs import propagate_in_one_piece
 from perilune.methods.indirect.exported_phases import assemble_trajectories
 from perilune.methods.indirect.unknowns import free_values, scaled_end_multipliers
@@ -127,7 +127,7 @@ class ControlFitness:
             trajectories=tuple(found),
         )
 
-    def _flights(self, genes: Matrix) -> Iterator[tuple[Phase, Any, Vector, Batch, Batch]]:
+    def _flights(self, genes: Matrix) -> Iterator[tuple[Phase, Any, Vector, Stack, Stack]]:
         """Yield each phase, p, duration, states (STEPS + 1, nx, N) and controls (2 STEPS + 1, nu, N)."""
         problem = self.canonical
         given = dict(zip(problem.given, canonical_given(problem), strict=True))
@@ -144,7 +144,7 @@ class ControlFitness:
             end = states[-1]
             yield phase, p, duration, states, controls
 
-    def _controls(self, phase: Phase, genes: Matrix, at: int) -> tuple[Batch, int]:
+    def _controls(self, phase: Phase, genes: Matrix, at: int) -> tuple[Stack, int]:
         """Return controls (2 STEPS + 1, nu, N) at the ends and middles of all steps."""
         knots, places = np.linspace(0.0, 1.0, self.nodes), np.linspace(0.0, 1.0, 2 * STEPS + 1)
         hats = np.array([np.interp(places, knots, row) for row in np.eye(self.nodes)]).T
@@ -157,7 +157,7 @@ class ControlFitness:
             parts.append(control.normalised(part).transpose(1, 0, 2))
         return np.concatenate([np.zeros((len(places), 0, len(genes))), *parts], axis=1), at
 
-    def _miss(self, phase: Phase, p: Any, states: Batch, controls: Batch) -> Vector:
+    def _miss(self, phase: Phase, p: Any, states: Stack, controls: Stack) -> Vector:
         """Return how far the conditions of a phase are missed, (N,)."""
         size = states.shape[2]
         end = _stack_values(phase.evaluate("end", list(states[-1]), (), p), size)
@@ -281,7 +281,7 @@ def _end_misses(problem: Problem, conditions: Sequence[Variable], values: Matrix
     return np.array(missed).reshape(len(conditions), *np.shape(values)[1:])
 
 
-def _integrate_rk4(phase: Phase, p: Any, start: Matrix, controls: Batch, duration: Vector) -> Batch:
+def _integrate_rk4(phase: Phase, p: Any, start: Matrix, controls: Stack, duration: Vector) -> Stack:
     """Return the states (STEPS + 1, nx, N) from the start (nx, N), by the classical Runge-Kutta method."""
     size = start.shape[1]
     states, h = np.empty((STEPS + 1, *start.shape)), duration / STEPS
