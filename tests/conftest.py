@@ -5,7 +5,10 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import sysconfig
 import tempfile
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -32,8 +35,23 @@ def pytest_configure(config: pytest.Config) -> None:
     if os.environ.pop("PYTHONDONTWRITEBYTECODE", "") and "PYTHONPYCACHEPREFIX" not in os.environ:
         os.environ["PYTHONPYCACHEPREFIX"] = folder = tempfile.mkdtemp(prefix="perilune-bytecode-")
         config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+        _link_bytecode(folder)
     if config.getoption("numprocesses", None):
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def _link_bytecode(folder: str) -> None:
+    """Link the bytecode of what is installed into another place: each process would compile all of it first."""
+    installed = sysconfig.get_path("purelib")
+    for root in {sysconfig.get_path("stdlib"), installed, sysconfig.get_path("platlib")}:
+        for here, inner, names in os.walk(root):
+            inner[:] = [name for name in inner if root == installed or name not in ("site-packages", "test")]
+            if os.path.basename(here) == "__pycache__":
+                to = Path(folder).joinpath(*Path(here).parent.parts[1:])
+                with suppress(OSError):  # where links may not be made, all is compiled
+                    to.mkdir(parents=True, exist_ok=True)
+                    for name in names:
+                        os.symlink(os.path.join(here, name), to / name)
 
 
 @pytest.fixture(scope="session")

@@ -196,7 +196,8 @@ def test_help_loads_nothing_heavy() -> None:
 
 def test_a_landing_is_solved_and_proved_without_scipy() -> None:
     """Nor anything else that only other problems, or refusals, need: it would be half of what the program takes."""
-    spared = "scipy matplotlib pandas pyarrow xarray importlib.metadata perilune.direct perilune.models.deorbit.problem"
+    spared = "scipy matplotlib pandas pyarrow xarray importlib.metadata perilune.direct"
+    spared += " perilune.models.deorbit.records perilune.models.descent.problem perilune.models.precision.problem"
     program = (
         "import sys, perilune.cli\n"
         f"code = perilune.cli.run_command_line(['solve', {str(HYBRID)!r}])\n"

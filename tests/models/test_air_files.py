@@ -327,10 +327,12 @@ def folders(tmp_path: Path, *names: str) -> list[Path]:
 
 
 def test_a_return_through_feet_is_that_through_metres(tmp_path: Path) -> None:
-    metres, feet = (
-        pl.solve(load_file(capsule(folder, SHAPES[shape])).problem, verify=1)
+    in_metres, in_feet = (
+        load_file(capsule(folder, SHAPES[shape])).problem
         for folder, shape in zip(folders(tmp_path, "m", "ft"), ("heading", "brackets"), strict=True)
     )
+    metres = pl.solve(in_metres, verify=1)
+    feet = pl.solve(in_feet, guess=metres, verify=1)  # where feet were metres, it would lead elsewhere
     assert feet.results["peak_load"].value == pytest.approx(8.03, abs=0.01)  # 101.8 where feet are taken as metres
     for name, result in metres.results.items():
         assert feet.results[name].value == pytest.approx(result.value, rel=1e-6), name

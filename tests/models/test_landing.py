@@ -212,18 +212,6 @@ def test_impossible_orbits() -> None:
             solve(hybrid_landing(lander, None, orbit, CHO_MOON, landing_altitude=site))
 
 
-def test_too_weak_a_lander_is_refused() -> None:
-    """A tenth of the thrust: whatever is found flies through the ground, and is not called an answer."""
-    weak = hybrid_landing(
-        Vehicle(mass=300.0, thrust=200.0, specific_impulse=310.0),
-        None,
-        Orbit(parking_altitude=100e3, perilune_altitude=15e3),
-    )
-    with pytest.raises((InfeasibleError, PeriluneError)) as caught:
-        solve(weak, verify=0)
-    assert caught.value.exit_code in (3, 4)
-
-
 @pytest.mark.parametrize(
     ("values", "words"),
     [

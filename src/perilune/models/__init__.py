@@ -6,7 +6,7 @@ The orbit before a return is `ReturnOrbit` here, and `Orbit` the one before a la
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from perilune.models.catalogue import HYBRID, KINDS, key_of, kind_named, kind_names, one_line_error, unknown_kind
+    from perilune.models.catalogue import KINDS, key_of, kind_named, kind_names, one_line_error, unknown_kind
     from perilune.models.deorbit.opportunities import (
         DOUBTFUL,
         OUT_OF_REACH,

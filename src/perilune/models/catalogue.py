@@ -1,24 +1,18 @@
-"""Catalogue of the kinds of problems that a file can state: the records of each, and the function that makes it.
+"""Catalogue of the kinds of problems that a file can state, each in a file of the folder `stated`.
 
 Nothing else knows of them: the reader of scenarios, the templates and the reference page follow from here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, MutableMapping
 from dataclasses import replace
 from functools import cache, wraps
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from perilune.core import PeriluneError, UnknownKindError, parameter_name, unknown_name
-from perilune.models.deorbit import records as deorbit
-from perilune.models.descent.problem import Choices, Ignition, Site, Steering, powered_descent
-from perilune.models.kind import Kind, Section, Undecided
-from perilune.models.landing.problem import LandingSite, Orbit, hybrid_landing
-from perilune.models.physics.bodies import BODIES, PLANETS, Body, OblateBody, Planet, UniformGravity
-from perilune.models.physics.vehicle import Retro, Throttle, Vehicle
-from perilune.models.precision.final_descent import FinalDescent
-from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.models.kind import Kind
 from perilune.problem import Problem
 
 if TYPE_CHECKING:
@@ -27,175 +21,35 @@ if TYPE_CHECKING:
 GROUP = "perilune.models"  # of entry points
 
 
-def _make_hybrid(
-    problem: Undecided, body: Body, vehicle: Vehicle, retro: Retro | None, orbit: Orbit, landing: LandingSite
-) -> Problem:
-    return hybrid_landing(vehicle, retro, orbit, body, landing.altitude)
+class KnownKinds(MutableMapping[str, Kind]):
+    """Kinds by name, of which each is imported when it is asked for: their records are half of all models."""
+
+    def __init__(self, *names: str) -> None:
+        self._made: dict[str, Kind | None] = dict.fromkeys(names)
+
+    def __getitem__(self, name: str) -> Kind:
+        found = self._made[name]
+        if found is None:
+            found = self._made[name] = import_module(f"perilune.models.stated.{name}").STATED
+        return found
+
+    def __setitem__(self, name: str, kind: Kind) -> None:
+        self._made[name] = kind
+
+    def __delitem__(self, name: str) -> None:
+        del self._made[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._made
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
 
 
-def _make_descent(
-    problem: Choices,
-    body: OblateBody,
-    vehicle: Vehicle,
-    start: Ignition,
-    site: Site,
-    steering: Steering | None,
-    throttle: Throttle | None,
-) -> Problem:
-    shares = None if throttle is None else (throttle.lower, throttle.upper)
-    return powered_descent(
-        vehicle, start, site, body, **vars(problem), steering=steering, throttle=shares, j2=body.j2
-    )  # fmt: skip
-
-
-def _make_precision(
-    problem: Undecided,
-    body: OblateBody | UniformGravity,
-    vehicle: Vehicle,
-    throttle: Throttle,
-    approach: Approach,
-    site: Site | None,
-    corridor: Corridor | None,
-    final: FinalDescent | None,
-) -> Problem:
-    shares, j2 = (throttle.lower, throttle.upper), getattr(body, "j2", 0.0)
-    return precision_landing(vehicle, approach, site, corridor, shares, body, final=final, j2=j2)
-
-
-def _make_deorbit(
-    problem: deorbit.Aim,
-    body: Planet,
-    orbit: deorbit.ReturnOrbit,
-    manoeuvre: deorbit.Manoeuvre | None,
-    vehicle: deorbit.Returner,
-    throttle: Throttle | None,
-    transition: deorbit.Transition,
-    interface: deorbit.Interface,
-    atmosphere: deorbit.Atmosphere | None,
-    separation: deorbit.Separation | None,
-    heating: deorbit.Heating | None,
-    limits: deorbit.Limits | None,
-    parachute: deorbit.Parachute | None,
-    site: deorbit.Landing | None,
-) -> Problem:
-    from perilune.models.deorbit.problem import deorbit_entry
-
-    return deorbit_entry(
-        vehicle, orbit, interface, body, manoeuvre=manoeuvre, transition=transition, air=atmosphere, site=site,
-        heating=heating, separation=separation, limits=limits, minimise=problem.minimise,
-        epoch=problem.epoch, parachute=parachute, throttle=throttle,
-    )  # fmt: skip
-
-
-_ANY = Section(record=Undecided, required=False, otherwise=Undecided())
-HYBRID = Kind(
-    name="hybrid_landing",
-    about="A lander on its way from a circular parking orbit to the ground: an impulsive retro burn, then thrust.",
-    sections={
-        "problem": _ANY,
-        "body": Section(record=Body, known=BODIES),
-        "vehicle": Section(record=Vehicle),
-        "retro": Section(record=Retro, required=False),
-        "orbit": Section(record=Orbit),
-        "landing": Section(record=LandingSite, required=False, otherwise=LandingSite()),
-    },
-    make=_make_hybrid,
-    example={"retro.specific_impulse": "310 s", "landing.altitude": "0 km"},
-)
-DESCENT = Kind(
-    name="powered_descent",
-    about="A descent in three dimensions from a state over a body to rest above it.",
-    sections={
-        "problem": Section(record=Choices),
-        "body": Section(record=OblateBody, known=BODIES),
-        "vehicle": Section(record=Vehicle),
-        "start": Section(record=Ignition),
-        "site": Section(record=Site, required=False, otherwise=Site(), absent='may be omitted if target = "anywhere"'),
-        "steering": Section(record=Steering, required=False),
-        "throttle": Section(record=Throttle, required=False),
-    },
-    make=_make_descent,
-    example={
-        "problem.target": "site",
-        "vehicle.mass": "15 t",
-        "vehicle.thrust": "45 kN",
-        "vehicle.specific_impulse": "365 s",
-        "vehicle.dry_mass": "8 t",
-        "site.altitude": "2 km",
-        "site.longitude": "5 deg",
-        "site.latitude": "76 deg",
-    },
-)
-PRECISION = Kind(
-    name="precision_landing",
-    about="The last kilometres: to a given point with the least propellant, within a corridor.",
-    sections={
-        "problem": Section(record=Undecided),
-        "body": Section(record=OblateBody, known=BODIES, instead=UniformGravity),
-        "vehicle": Section(record=Vehicle),
-        "throttle": Section(record=Throttle),
-        "approach": Section(record=Approach),
-        "site": Section(record=Site, required=False, absent="omitted over flat ground"),
-        "corridor": Section(record=Corridor, required=False),
-        "final": Section(record=FinalDescent, required=False),
-    },
-    make=_make_precision,
-    example={
-        "vehicle.mass": "2 t",
-        "vehicle.thrust": "8 kN",
-        "vehicle.dry_mass": "1200 kg",
-        "approach.east_speed": "50 m/s",
-        "approach.up_speed": "-30 m/s",
-        "site.longitude": "0 deg",
-        "site.latitude": "-85 deg",
-        "corridor.tilt": "50 deg",
-        "corridor.slope": "20 deg",
-    },
-)
-DEORBIT = Kind(
-    name="deorbit_entry",
-    about="From an orbit by a finite burn to the entry interface, and through the atmosphere to a site.",
-    sections={
-        "problem": Section(record=deorbit.Aim),
-        "body": Section(record=Planet, known=PLANETS),
-        "orbit": Section(record=deorbit.ReturnOrbit),
-        "manoeuvre": Section(record=deorbit.Manoeuvre, required=False, absent="omitted if [orbit] states it"),
-        "vehicle": Section(record=deorbit.Returner),
-        "throttle": Section(record=Throttle, required=False, absent="default: the engine burns at full thrust"),
-        "transition": Section(record=deorbit.Transition, required=False, otherwise=deorbit.Transition()),
-        "interface": Section(record=deorbit.Interface),
-        "atmosphere": Section(
-            record=deorbit.Atmosphere, required=False, absent="without it the flight ends at the interface"
-        ),
-        "separation": Section(
-            record=deorbit.Separation, required=False, absent="default: the whole vehicle enters the atmosphere"
-        ),
-        "heating": Section(record=deorbit.Heating, required=False),
-        "limits": Section(record=deorbit.Limits, required=False),
-        "parachute": Section(record=deorbit.Parachute, required=False, absent="default: the entry ends at the site"),
-        "site": Section(record=deorbit.Landing, required=False, absent="default: any place"),
-    },
-    make=_make_deorbit,
-    example={
-        "problem.minimise": "propellant",
-        "body.name": "earth",
-        "orbit.radius": "6778.14 km",
-        "orbit.inclination": "51.6 deg",
-        "manoeuvre.longitude": "16 deg",
-        "manoeuvre.latitude": "39.5 deg",
-        "vehicle.mass": "500 kg",
-        "vehicle.thrust": "200 N",
-        "vehicle.exhaust_velocity": "3000 m/s",
-        "vehicle.drag_area": "0.6 m^2",
-        "vehicle.nose_radius": "0.3 m",
-        "transition.longest_coast": "3000 s",
-        "interface.altitude": "120 km",
-        "interface.angle": "-1.5 deg",
-        "atmosphere.model": "us1976",
-        "site.altitude": "10 km",
-    },
-)
-KINDS = {kind.name: kind for kind in (HYBRID, DESCENT, PRECISION, DEORBIT)}
+KINDS = KnownKinds("hybrid_landing", "powered_descent", "precision_landing", "deorbit_entry")
 
 
 def kind_names() -> list[str]:

@@ -16,11 +16,12 @@ from perilune.core import (
     unknown_name,
     with_key_named,
 )
-from perilune.models import HYBRID, KINDS, PROOF, Body, Kind, Section, kind_named, recognise_body
+from perilune.models import KINDS, PROOF, Body, Kind, Section, kind_named, recognise_body
 from perilune.problem import Problem, Tolerance
 from perilune.scenario.plausible import refuse_slips
 
-KIND = TextField(example=HYBRID.name, choices=tuple(KINDS), about="the kind of problem that the file states")
+_USUAL = next(iter(KINDS))
+KIND = TextField(example=_USUAL, choices=tuple(KINDS), about="the kind of problem that the file states")
 
 
 def problem_of(document: Mapping[str, Any], folder: Path | None = None) -> Problem:
@@ -92,15 +93,15 @@ def names_of(section_name: str, section: Section) -> dict[str, Key]:
     section
         Records that declare its keys.
     """
-    kind = {"kind": Key(field="kind", declared=KIND, default=HYBRID.name)} if section_name == "problem" else {}
+    kind = {"kind": Key(field="kind", declared=KIND, default=_USUAL)} if section_name == "problem" else {}
     return {**kind, **section.keys}
 
 
 def _kind_of(document: Mapping[str, Any]) -> Kind:
     stated = document.get("problem")
-    name = stated.get("kind", HYBRID.name) if isinstance(stated, Mapping) else HYBRID.name
+    name = stated.get("kind", _USUAL) if isinstance(stated, Mapping) else _USUAL
     if not isinstance(name, str):
-        return HYBRID  # what is no text is refused with its section
+        return KINDS[_USUAL]  # what is no text is refused with its section
     return kind_named(name)
 
 
