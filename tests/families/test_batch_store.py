@@ -144,6 +144,18 @@ def test_jumps_of_the_best_extremal_are_followed() -> None:
     assert few.objective == pytest.approx(batch.objective[::10], rel=1e-12)
 
 
+def test_points_can_be_solved_where_the_problem_as_it_is_cannot(landing: Problem) -> None:
+    """A scenario may stand at a corner of a grid that nothing reaches; the other points lose nothing by it."""
+    lines = list[Any]()
+    high = landing.with_given(landing_altitude=20e3)
+    batch = solve_many(high, {"landing.altitude": [20e3, 0.0, 500.0]}, callback=lines.append)
+    assert batch.outcomes.tolist() == ["INFEASIBLE", "SOLVED", "SOLVED"]
+    assert batch.objective[1] == pytest.approx(pl.solve(landing, verify=0).objective, rel=1e-9)
+    assert any("points are solved in its place" in str(line) for line in lines)
+    with pytest.raises(pl.InfeasibleError):
+        solve_many(high, {"landing.altitude": [20e3, 21e3]})
+
+
 SWEEP = [
     "sweep", str(ROOT / "examples" / "hybrid_lander.toml"), "--batch",
     "--vary", "vehicle.thrust=430:450:10 N", "--vary", "vehicle.specific_impulse=300,310 s",

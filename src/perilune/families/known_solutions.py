@@ -50,14 +50,27 @@ def known_solutions(
     given = [guess] if isinstance(guess, Solution) else list(guess or ())
     for one in given:
         require_type(one, Solution, "a known solution")
-    first = Indirect().run(problem, given[0], say) if given else solve(problem, callback=say)
-    if fixed := {name: first.free[name] for name in names if name in first.free}:  # no longer free
-        problem = problem.with_given(**fixed)
+    first = Indirect().run(problem, given[0], say) if given else _first_solution(problem, names, values, limit, say)
+    own = {name: given.value for name, given in first.problem.given.items()} | dict(first.free)
+    problem = problem.with_given(**{name: own[name] for name in names if name in problem.free_names})  # no longer free
+    if any(name in first.free for name in names):
         first = Indirect().run(problem, first, say)
     others = [_refined(problem, names, one, say) for one in given[1:]]
     if guess is None and len(values) >= _MANY:
         others = list(_of_extreme_points(problem, names, values, first, limit, say))
     return problem, (first, *others)
+
+
+def _first_solution(problem: Problem, names: Sequence[str], values: Matrix, limit: float, say: Watch) -> Solution:
+    """Return the solution of the problem as it is, or of the first of some points that has one."""
+    try:
+        return solve(problem, callback=say)
+    except PeriluneError as error:
+        say(f"the problem as it is has no solution ({error.what}): points are solved in its place")
+        for row in _extreme_rows(values):
+            with suppress(PeriluneError):
+                return solve(_problem_at(problem, names, row), verify=0, time_limit=limit)
+        raise
 
 
 def _refined(problem: Problem, names: Sequence[str], guess: Solution, say: Watch) -> Solution:
@@ -78,11 +91,14 @@ def _of_extreme_points(
     for number, row in enumerate(rows, 1):
         say(f"{number} of {len(rows)} extreme points")
         with suppress(PeriluneError):
-            at = problem.with_given(**dict(zip(names, row.tolist(), strict=True)))
-            solution = solve(at, verify=0, time_limit=limit)
+            solution = solve(_problem_at(problem, names, row), verify=0, time_limit=limit)
             if all(_is_better(solution, solver, row) for solver in solvers):
                 solvers.append(PointSolver(KnownExtremal.of(solution), names))
                 yield solution
+
+
+def _problem_at(problem: Problem, names: Sequence[str], row: Vector) -> Problem:
+    return problem.with_given(**dict(zip(names, row.tolist(), strict=True)))
 
 
 def _is_better(solution: Solution, solver: PointSolver, row: Vector) -> bool:
