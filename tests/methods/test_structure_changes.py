@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,12 @@ def on_mars(slope: float | None, pad: float = 16.11334209455876, tilt: float | N
     )  # fmt: skip
 
 
+@cache
+def without_slope() -> pl.Solution:
+    """Return its answer without a limit."""
+    return pl.solve(on_mars(None))
+
+
 def heavy(dry: float | None) -> pl.Problem:
     """Another of these, of which no random costates lead to an extremal."""
     return precision_landing(
@@ -66,6 +73,12 @@ def heavy(dry: float | None) -> pl.Problem:
         (0.15348108354062415, 0.8055220394822586),
         MOON,
     )  # fmt: skip
+
+
+@cache
+def without_dry_mass() -> pl.Solution:
+    """Return its answer without a limit."""
+    return pl.solve(heavy(None))
 
 
 def on_europa(dry: float) -> pl.Problem:
@@ -125,7 +138,7 @@ def test_a_touch_of_no_multiplier_is_excused_by_what_is_positive_without_it(
 @pytest.mark.parametrize("offset", [1e-3, 3e-5, 1e-6, 1e-7])
 def test_a_slope_that_is_broken_between_the_looks_of_the_search_is_touched(offset: float) -> None:
     """Parabolas of 0.1 mm below the slope lie between any two of 6400 looks; they were found by the proof alone."""
-    without = pl.solve(on_mars(None))
+    without = without_slope()
     up = 0.25832294869638345
     solution = pl.solve(on_mars(up * (1.0 + offset)))
     assert kept(solution) and solution.verification.level >= 2, str(solution.verification)
@@ -159,7 +172,7 @@ def test_a_touch_that_becomes_an_arc_is_either(offset: float) -> None:
 @pytest.mark.parametrize("offset", [-1e-6, -1e-9, 0.0])
 def test_a_dry_mass_that_is_just_landed_is_answered(offset: float) -> None:
     """A program whose bound leaves no room has no inside: no mesh was solved, and no costates led to an extremal."""
-    landed = -pl.solve(heavy(None)).objective
+    landed = -without_dry_mass().objective
     solution = pl.solve(heavy(landed * (1.0 + offset)))
     assert -solution.objective == pytest.approx(landed, rel=1e-12)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
@@ -187,7 +200,7 @@ def test_a_dry_mass_that_a_mesh_lands_by_its_own_error_is_named(offset: float) -
 
 def test_a_flight_that_finer_meshes_bear_out_is_no_error_of_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Then a better extremal is missing, and that nothing can be flown is not said."""
-    free = pl.solve(heavy(None), verify=0)
+    free = without_dry_mass()
     bound = -free.objective + 1.0
     missed = ConstraintViolation(
         name="m", text="mass falls", miss=1.0, unit="kg", canonical=1e-4, limit="vehicle.dry_mass",
@@ -221,8 +234,7 @@ def test_what_is_told_of_a_flight_whose_phases_have_parts_names_none_of_them() -
 @pytest.mark.parametrize("offset", [-1e-4, -1e-6, -1e-8])
 def test_a_tilt_that_binds_for_a_moment_is_proved(offset: float) -> None:
     """Its multiplier is next to nothing there, and no time of the proof lies within: it was level 2 from 1e-6 on."""
-    problem = on_mars(None)
-    free = pl.solve(problem, verify=0)
+    problem, free = on_mars(None), without_slope()
     up = problem.phases[-1].control_names.index("toward_up")
     largest = math.acos(free.trajectories[-1].control.values[:, up].min())
     solution = pl.solve(on_mars(None, tilt=largest * (1.0 + offset)))
