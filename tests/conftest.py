@@ -16,8 +16,11 @@ from cho import cho_landing
 from perilune.problem import Problem, Solution
 from perilune.solve import solve
 
-#: Files with tests of half a minute: they come first, so that at the end no process waits for one of them.
-_LONG = ("test_capsule.py", "test_problems.py", "test_matrix.py")
+#: Files with tests of ten seconds to a minute: they come first, so that at the end no process waits for one of them.
+_LONG = {
+    "test_capsule.py", "test_problems.py", "test_matrix.py", "test_structure_changes.py", "test_first_mesh.py",
+    "test_smoothing.py", "test_return_starts.py",
+}  # fmt: skip
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
