@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import pickle
+import zipfile
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from command_line import ROOT, read_json
 from perilune import PeriluneError, Problem, Solution
 from perilune.cli import run_command_line
 from perilune.families.batch import Batch
+from perilune.families.batch_solver import BatchSolver
 from perilune.families.solve_many import solve_many
 from problems.folded import cusp, cusp_cost
 
@@ -114,6 +116,71 @@ def test_forged_rows_are_solved_again(
     assert same(batch, whole) and any("cannot be used" in note for note in batch.notes)
 
 
+@pytest.mark.parametrize("damage", ["cut", "bits", "compression", "password", "text"])
+def test_damaged_files_are_solved_again(
+    landing: Problem, known: Solution, whole: Batch, tmp_path: Path, damage: str
+) -> None:
+    """Whatever a damaged archive makes zipfile, zlib and NumPy raise, its points are solved again."""
+    solve_many(landing, POINTS, known, store=tmp_path)
+    (file,) = tmp_path.glob("points-*.npz")
+    content = bytearray(file.read_bytes())
+    with zipfile.ZipFile(file) as packed:
+        first = packed.infolist()[-1]
+    begin = content.index(b"PK\x01\x02")  # entry of the first array in the directory of the archive
+    if damage == "cut":
+        del content[len(content) // 2 :]
+    elif damage == "bits":
+        content[first.header_offset + 60 : first.header_offset + 100] = bytes(range(170, 210))
+    elif damage == "compression":
+        content[begin + 10] = 99
+    elif damage == "password":
+        content[begin + 8] |= 1
+    file.write_bytes(content)
+    if damage == "text":
+        with zipfile.ZipFile(file, "a") as packed:
+            packed.writestr("words.txt", "no array")
+    batch = solve_many(landing, POINTS, known, store=tmp_path)
+    assert same(batch, whole) and any("cannot be used" in note for note in batch.notes)
+
+
+def test_a_point_that_is_broken_off_between_two_known_solutions_has_no_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the first one leads to is the worse minimum where b > 0."""
+    of_both, at = [pl.solve(cusp(-1.0, b), verify=0) for b in (-0.2, 0.2)], np.linspace(-0.3, 0.3, 4)
+    solve_from = BatchSolver._solve_from
+
+    def stop(self: BatchSolver, *given: Any) -> None:
+        if given[-1] == 1:
+            raise KeyboardInterrupt
+        solve_from(self, *given)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(BatchSolver, "_solve_from", stop)
+        batch = solve_many(cusp(-1.0, -0.2), {"b": at}, of_both, store=tmp_path)
+    assert batch.interrupted and set(batch.outcomes) == {"INTERRUPTED"} and not batch.solved.any()
+    again = solve_many(cusp(-1.0, -0.2), {"b": at}, of_both, store=tmp_path)
+    assert again.objective == pytest.approx([cusp_cost(-1.0, b) for b in at], rel=1e-9)
+
+
+def test_what_was_solved_alone_before_an_interruption_is_kept(
+    landing: Problem, known: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = {"vehicle.thrust": [430.0, 440.0, 450.0]}
+    monkeypatch.setattr(BatchSolver, "_solver", lambda *given: None)  # no lanes
+
+    def stop(event: Any) -> None:
+        if event == "3 of 3 points solved alone":
+            raise KeyboardInterrupt
+
+    first = solve_many(landing, points, known, store=tmp_path, callback=stop)
+    assert first.outcomes.tolist() == ["SOLVED", "SOLVED", "INTERRUPTED"]
+    calls = list[Any]()
+    again = solve_many(landing, points, known, store=tmp_path, callback=calls.append)
+    assert "1 of 1 points solved alone" in calls and again.notes == ("2 of 3 points are as stored",)
+    assert np.array_equal(again.objective[:2], first.objective[:2]) and again.solved.all()
+
+
 def test_what_a_store_calls_proved_is_proved_again(landing: Problem, known: Solution, tmp_path: Path) -> None:
     points = {"vehicle.thrust": [430.0, 450.0]}
     proved = solve_many(landing, points, known, store=tmp_path, verify=1)
@@ -181,6 +248,19 @@ def test_the_command_solves_members_together(tmp_path: Path, capsys: pytest.Capt
     assert run_command_line([*SWEEP, "--out", place, "--resume", "--json"]) == 0
     out, err = capsys.readouterr()
     assert read_json(out)["points"] == written["points"] and "6 of 6 points are as stored" in err
+
+
+def test_the_command_begins_with_the_values_of_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ends of a range may have no solution that begins a batch."""
+    begun = list[float]()
+
+    def stop(problem: Problem, *given: Any, **options: Any) -> None:
+        begun.append(problem.given["vehicle_thrust"].value)
+        raise PeriluneError("seen enough")
+
+    monkeypatch.setattr("perilune.solve_many", stop)
+    assert run_command_line([*SWEEP[:3], "--vary", "vehicle.thrust=50:900:170 N"]) == 2
+    assert begun == [440.0]
 
 
 @pytest.mark.parametrize("more", [["--method", "direct"], ["--starts", "3"], ["--nodes", "30"]])

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from perilune.families import Submits
+    from perilune.problem import Problem
     from perilune.scenario import Scenario
 
 Kind = TypeVar("Kind")
@@ -72,7 +73,7 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
     with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, worker_pool(order.workers) as executor:
         options |= {"callback": watch, "executor": executor}
         if order.batch:
-            found = solve_many(scenario.problem, grid_points(over), **options)
+            found = solve_many(_with_own_values(order, scenario.problem, list(over)), grid_points(over), **options)
         else:
             found = sweep(scenario.problem, over, method, tolerance=scenario.tolerance, **options)
     table = member_table(found)
@@ -97,6 +98,17 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
         print_note(f"stopped by the user with {done} of {total} values done, which are kept")
     code = INTERRUPTED if table.interrupted else worst
     return files.noted(CommandAnswer(text=family_csv(table), document=family_document(table), exit_code=code))
+
+
+def _with_own_values(order: Namespace, problem: Problem, keys: Sequence[str]) -> Problem:
+    """Return a problem with the values that the file has for the varied keys: a batch begins with a solution there."""
+    from perilune.core import parameter_name
+    from perilune.scenario import load_file
+
+    with suppress(PeriluneError):
+        own, names = load_file(order.file, order.changes).problem.given, {*map(parameter_name, keys)} & {*problem.given}
+        return problem.with_given(**{name: own[name].value for name in names if name in own})
+    return problem
 
 
 @contextmanager

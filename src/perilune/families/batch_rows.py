@@ -18,6 +18,7 @@ OUTCOMES = tuple(Outcome)  # an outcome of a batch is its place here
 UNSOLVED, SOLVED, REFUSED = (OUTCOMES.index(o) for o in (Outcome.INTERRUPTED, Outcome.SOLVED, Outcome.REFUSED))
 #: Where the answer of a point comes from: the number of a known solution, or one of these.
 NEAREST_NODE, ALONE, NOWHERE = -1, -2, -3
+_UNKNOWN = {"codes": UNSOLVED, "levels": 0, "origin": NOWHERE}  # where nothing is known; NaN in the other columns
 
 
 @dataclass(kw_only=True)
@@ -68,6 +69,21 @@ class BatchRows:
     def where(self, code: int) -> NDArray[np.int64]:
         """Return the numbers of the points with an outcome."""
         return np.nonzero(self.codes == code)[0]
+
+    def clear(self, points: NDArray[np.int64]) -> None:
+        """Make points again such of which nothing is known.
+
+        Parameters
+        ----------
+        points
+            Their numbers.
+        """
+        for name, column in self.columns:
+            if name != "values":
+                column[points] = _UNKNOWN.get(name, np.nan)
+        for i in points.tolist():
+            self.messages.pop(i, None)
+            self.alone.pop(i, None)
 
     def part(self, start: int, count: int) -> BatchRows:
         """Return some of the rows, whose arrays are part of these.

@@ -6,8 +6,8 @@ integrator. What the lanes do not reach, as where the optimal flight has other a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from threading import local
@@ -111,9 +111,10 @@ class BatchSolver:
     def solve_in_lanes(self, rows: BatchRows) -> None:
         """Refuse what cannot be flown, and solve what the lanes reach from the known solutions."""
         points = self._screened(rows)
-        for number, solver in enumerate(self._solvers):
-            if solver is not None and len(points):
-                self._solve_from(rows, points, solver, number)
+        with _whole_or_not(rows, points):
+            for number, solver in enumerate(self._solvers):
+                if solver is not None and len(points):
+                    self._solve_from(rows, points, solver, number)
 
     def _screened(self, rows: BatchRows) -> NDArray[np.int64]:
         """Return the points whose values are some of the problem and not forbidden by physics; refuse the others."""
@@ -157,7 +158,9 @@ class BatchSolver:
         for number, node in enumerate(nodes):
             say(f"{number + 1} of {len(nodes)} neighbourhoods of points that no known solution leads to")
             if (solver := self._around_node(node)) is not None:
-                self._solve_from(rows, left[which.reshape(-1) == number], solver, NEAREST_NODE)
+                points = left[which.reshape(-1) == number]
+                with _whole_or_not(rows, points):
+                    self._solve_from(rows, points, solver, NEAREST_NODE)
 
     def _around_node(self, node: Vector) -> PointSolver | None:
         """Return the solver that begins with the solution of a node; None if there is none."""
@@ -183,10 +186,11 @@ class BatchSolver:
             return
         for number, i in enumerate(left, 1):
             say(f"{number} of {len(left)} points solved alone")
-            try:
-                rows.enter_solution(i, self._solved_alone(rows.values[i]), self.request.level)
-            except PeriluneError as error:
-                rows.enter_failure(i, error)
+            with _whole_or_not(rows, np.array([i])):
+                try:
+                    rows.enter_solution(i, self._solved_alone(rows.values[i]), self.request.level)
+                except PeriluneError as error:
+                    rows.enter_failure(i, error)
 
     def _solved_alone(self, values: Vector) -> Solution:
         """Return the answer of a search without a guess, or that near the first known solution where it finds none."""
@@ -229,6 +233,16 @@ class BatchSolver:
             solver = self._around_node(solver.nearest_nodes(values[None])[0])
         assert solver is not None, "of an answer"
         return solver.solution(self.problem_at(values), solver.solve(values[None]), 0)
+
+
+@contextmanager
+def _whole_or_not(rows: BatchRows, points: NDArray[np.int64]) -> Iterator[None]:
+    """Leave points that Ctrl-C breaks off unsolved: the next known solution might have led to a better answer."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        rows.clear(points)
+        raise
 
 
 _OWN = local()  # of each thread of a worker: its rows of one batch have one solver

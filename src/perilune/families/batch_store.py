@@ -111,7 +111,7 @@ class BatchStore:
                 raise unusable_store(file, f"another column {name}", "the columns of the same points")
         solved = np.isin(found["codes"], _ANSWERS)
         fine = np.array_equal(found["values"], rows.values, equal_nan=True) and bool(
-            np.all((found["codes"] >= 0) & (found["codes"] < len(OUTCOMES)) & (found["codes"] != UNSOLVED))
+            np.all((found["codes"] >= 0) & (found["codes"] < len(OUTCOMES)))
             and np.all((found["origin"] >= NOWHERE) & (found["origin"] < len(self.request.known)))
             and np.array_equal(solved, found["origin"] != NOWHERE)
             and np.array_equal(solved, np.isfinite(found["objective"]))
@@ -122,7 +122,8 @@ class BatchStore:
         messages = self._messages(file, found.get(_MESSAGES), len(rows))
         for name, column in own.items():
             column[:] = found[name]
-        rows.messages.update(messages)
+        told = {i: text for i, text in messages.items() if not solved[i] and found["codes"][i] != UNSOLVED}
+        rows.messages.update(told)
         rows.levels[:] = 0
         if self.request.level:
             rows.codes[solved] = SOLVED  # and not proved before it is proved again

@@ -64,7 +64,7 @@ def known_solutions(
 def _first_solution(problem: Problem, names: Sequence[str], values: Matrix, limit: float, say: Watch) -> Solution:
     """Return the solution of the problem as it is, or of the first of some points that has one."""
     try:
-        return solve(problem, callback=say)
+        return solve(problem, callback=say, time_limit=limit)
     except PeriluneError as error:
         say(f"the problem as it is has no solution ({error.what}): points are solved in its place")
         for row in _extreme_rows(values):

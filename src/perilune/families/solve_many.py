@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
@@ -18,7 +19,7 @@ from perilune.core import (
     require_type,
 )
 from perilune.families.batch import Batch, batch_of
-from perilune.families.batch_rows import REFUSED, BatchRows, empty_rows
+from perilune.families.batch_rows import REFUSED, UNSOLVED, BatchRows, empty_rows
 from perilune.families.batch_solver import BatchRequest, BatchSolver, Say, completed_rows
 from perilune.families.batch_store import BatchStore
 from perilune.families.executors import Submits, require_executor, run_calls
@@ -59,8 +60,9 @@ def solve_many(
         A list of points ``{name: value, ...}``, or the columns ``{name: values, ...}`` of a table, a frame of pandas or
         a data set of xarray. Values are in SI; a name may end in a unit in brackets, ``"vehicle.thrust [kN]"``.
     guess
-        Known solutions, of this problem or similar ones. If None, that of the problem as it is, and of a hundred points
-        or more those of the extreme ones and of the middle that are better than what it leads to.
+        Known solutions, of this problem or similar ones. If None, that of the problem as it is (if it has none, of the
+        middlemost or an extreme point), and of a hundred points or more those of the extreme ones and of the middle
+        that are better than what it leads to.
     verify
         Verification level of each point, as of `perilune.solve.solve`. It takes much longer than the solving.
     search
@@ -144,7 +146,7 @@ class _Work:
             [(start, self.rows.part(start, _TOGETHER)) for start in starts], self.notes.append
         ):
             self.rows.put(start, rows)
-            taken += len(rows)
+            taken += len(rows) - len(rows.where(UNSOLVED))
         if taken:
             self.notes.append(f"{taken} of {len(self.rows)} points are as stored")
         for note in self.notes:
@@ -154,7 +156,12 @@ class _Work:
         part = self.rows.part(start, _TOGETHER)
         try:
             self.solver.complete(part, self.say)
-        finally:  # also of what Ctrl-C breaks off
+        except KeyboardInterrupt:
+            if self.kept is not None:
+                with suppress(PeriluneError):  # the answers are returned in any case
+                    self.kept.write(start, part)
+            raise
+        finally:
             self.rows.put(start, part)
 
     def _elsewhere(self, executor: Submits, starts: Iterable[int]) -> Iterator[int]:

@@ -10,6 +10,7 @@ import json
 import os
 import re
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -134,9 +135,13 @@ def read_arrays(file: Path, what: str) -> dict[str, NDArray[Any]]:
             if sum(entry.file_size for entry in packed.infolist()) > LARGEST_FILE:
                 raise ValueError(f"more than {LARGEST_FILE} bytes when unpacked")
         with np.load(io.BytesIO(content), allow_pickle=False) as tables:
-            return {name: tables[name] for name in tables.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise unusable_store(file, str(error)[:80], what) from error
+            arrays = {name: tables[name] for name in tables.files}
+            if any(not isinstance(y, np.ndarray) for y in arrays.values()):
+                raise ValueError("a file in it that is no array")
+            return arrays
+    # RuntimeError: of another compression, or with a password, as damaged bytes say
+    except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+        raise unusable_store(file, str(error)[:80] or "it ends too early", what) from error
 
 
 def clear_family(directory: Path) -> None:
