@@ -280,10 +280,12 @@ def hamiltonian_gain(arc: PhaseData, x: Matrix, u: Matrix, tried: Any, lam: Matr
         slack[places] = np.minimum(slack[places], KEPT * arc.allowed.sizes)
     count = len(arc.path_scale)
     path, held = (arc.phase.evaluate(each, list(x), list(tried), arc.p) for each in ("path", "held"))
-    for near, value in zip(slack[:count], path, strict=True):
-        H = np.where(np.less(value, -near), np.inf, H)
-    for near, value in [] if leaving else zip(slack[count:], held, strict=True):
-        H = np.where(np.abs(value) > near, np.inf, H)
+    broken = [np.less(value, -near) for near, value in zip(slack[:count], path, strict=True)]
+    if not leaving:
+        broken += [np.abs(value) > near for near, value in zip(slack[count:], held, strict=True)]
+    for bad in broken:
+        if np.any(bad):
+            H = np.where(bad, np.inf, H)
     return float(np.maximum(np.max(arc.hamiltonian(x, u, lam) - H), 0.0))
 
 
