@@ -11,6 +11,7 @@ from perilune.core import NUMERIC
 from perilune.direct.collocated_solution import Sampler
 from perilune.direct.first_guess import first_guesses
 from perilune.direct.propagated_guess import NODES, fitting_segments, simulate_guess, winds_repeatedly
+from perilune.models import MOON, Orbit, Vehicle, hybrid_landing
 from perilune.problem import Problem, admissible
 from problems import LIBRARY
 from problems.ascents import TWO_STAGES, staged_launch
@@ -91,6 +92,16 @@ def test_an_ordinary_problem_is_solved_from_the_straight_line_alone() -> None:
     tried = pl.Pseudospectral().run(mars_glide_slope()).statistics.attempts
     assert tried[0].startswith("straight line, durations x 1: solved")
     assert not any("flown" in line for line in tried)
+
+
+def test_a_flight_of_too_many_turns_is_given_up() -> None:
+    """A thrust that brakes for a million years, which a thrust of a million times as much does in one."""
+    orbit = Orbit(parking_altitude=100e3, perilune_altitude=15e3)
+    heavy, light = (Vehicle(mass=mass, thrust=440.0, specific_impulse=310.0) for mass in (4e9, 3e3))
+    assert flown(hybrid_landing(light, None, orbit, MOON))
+    problem = hybrid_landing(heavy, None, orbit, MOON)
+    free, lines, _ = next(first_guesses(problem, None))
+    assert simulate_guess(problem, free, lines) is None
 
 
 def test_a_straight_line_is_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from perilune.core import Matrix, Vector
+from perilune.core import Matrix, Vector, sign_of_life
 from perilune.direct.collocated_solution import Sampler
 from perilune.direct.first_guess import first_guesses, phase_start
 from perilune.problem import Problem, admissible, free_scales, state_scales
@@ -21,6 +21,7 @@ from perilune.problem import Problem, admissible, free_scales, state_scales
 FAITHFUL = 1e-5  # relative accuracy of a flight that only has to look like one
 LOOKS = 400  # points of a phase at which its swings are counted
 WINDING = 2.5  # there and back is 2; a flight that goes through more of its range than this winds
+EVALUATED = 10_000  # times the rates of a phase: what needs more winds a hundred times, more than any mesh follows
 SEGMENTS, NODES = 2.0, 8  # for each time that a flight goes through its range, and of each segment
 
 
@@ -40,14 +41,21 @@ def simulate_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> 
     p, before, found = problem.parameters(values), None, list[Sampler]()
     for k, (phase, line) in enumerate(zip(problem.phases, lines, strict=True)):
         begin, duration = phase_start(problem, k, before, p), float(getattr(p, phase.duration))
+        left = iter(range(EVALUATED))
 
-        def flow(at: float, x: Vector, k: int = k, line: Sampler = line, duration: float = duration) -> Vector:
+        def flow(at: float, x: Vector, k=k, line: Sampler = line, duration: float = duration, left=left) -> Vector:
+            if next(left, None) is None:
+                raise ArithmeticError("a flight of too many turns")
+            sign_of_life("direct method: a flight under the controls of a straight line")
             u = admissible(problem.phases[k].controls, line(np.array([at]))[1].T, p)[:, 0]
             return duration * np.array(problem.phases[k].rates(list(x), list(u), p), dtype=float)
 
         least = FAITHFUL * np.maximum(np.abs(begin), state_scales(problem, phase))
-        with np.errstate(all="ignore"):  # it may lead where the physics is not defined
-            flown = solve_ivp(flow, (0.0, 1.0), begin, "DOP853", rtol=FAITHFUL, atol=least, dense_output=True)
+        try:
+            with np.errstate(all="ignore"):  # it may lead where the physics is not defined
+                flown = solve_ivp(flow, (0.0, 1.0), begin, "DOP853", rtol=FAITHFUL, atol=least, dense_output=True)
+        except ArithmeticError:
+            return None
         before = flown.y[:, -1]
         if flown.t[-1] < 1.0 or not np.isfinite(before).all():
             return None
