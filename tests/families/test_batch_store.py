@@ -263,6 +263,21 @@ def test_the_command_begins_with_the_values_of_the_file(monkeypatch: pytest.Monk
     assert begun == [440.0]
 
 
+def test_what_a_batch_does_not_have_is_no_axis_of_its_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line([*SWEEP, "--out", str(tmp_path / "out"), "--z", "gravity_loss"]) == 2
+    assert "leave out --batch" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_a_batch_says_that_it_takes_no_tolerance(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "lander.toml"
+    file.write_text(Path(SWEEP[1]).read_text(encoding="utf-8") + '\n[proof]\nposition = "1 m"\n', encoding="utf-8")
+    assert (
+        run_command_line(["sweep", str(file), *SWEEP[2:3], "--vary", "vehicle.thrust=440,450 N", "--level", "1"]) == 0
+    )
+    out, err = capsys.readouterr()
+    assert out.count("PROVED") == 2 and "[proof]" in err
+
+
 @pytest.mark.parametrize("more", [["--method", "direct"], ["--starts", "3"], ["--nodes", "30"]])
 def test_a_batch_takes_no_settings_of_a_method(more: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command_line([*SWEEP, *more]) == 2

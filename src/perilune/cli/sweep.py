@@ -57,7 +57,9 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
         from perilune.core import parameter_name
         from perilune.report import require_map
 
-        require_map(scenario.problem, tuple(map(parameter_name, over)), axes)
+        require_map(scenario.problem, tuple(map(parameter_name, over)), axes, order.batch)
+    if order.batch and level and scenario.tolerance.stated:
+        print_note("--batch proves without the tolerances under [proof], as if none were stated")
     options: dict[str, Any] = {"verify": level, "time_limit": limit}
     if order.out is not None:
         _refuse_used_directory(order)

@@ -48,14 +48,15 @@ def map_names(problem: Problem, parameters: tuple[str, ...]) -> list[str]:
     """
     variables = [*problem.result_variables]
     for phase in problem.phases:
-        variables += [*phase.end_output_variables, *phase.integral_variables]
+        variables += phase.end_output_variables
     own = {v.name for v in variables} or {"flight_time", "objective"}
-    peaks = {f"peak_{name}{more}" for name in problem.views.peaks for more in ("", "_time")}
     weight = {OVER_WEIGHT} if _weighs({*problem.given, *parameters}) else set()
-    return sorted({*problem.given, *problem.free_names, *parameters, *own, *peaks, *weight})
+    return sorted({*problem.given, *problem.free_names, *parameters, *own, *_on_the_way(problem), *weight})
 
 
-def require_map(problem: Problem, parameters: tuple[str, ...], names: Mapping[str, str | None]) -> None:
+def require_map(
+    problem: Problem, parameters: tuple[str, ...], names: Mapping[str, str | None], batch: bool = False
+) -> None:
     """Refuse a map that cannot be drawn, before anything is computed for it.
 
     Parameters
@@ -64,6 +65,8 @@ def require_map(problem: Problem, parameters: tuple[str, ...], names: Mapping[st
         What is varied, and along what.
     names
         What was asked for as ``x``, ``y`` and ``z``, None for what is usual.
+    batch
+        True for a batch, whose results are those at the ends of phases.
 
     Raises
     ------
@@ -78,8 +81,18 @@ def require_map(problem: Problem, parameters: tuple[str, ...], names: Mapping[st
         )  # fmt: skip
     known = map_names(problem, parameters)
     for name in asked.values():
-        if parameter_name(name) not in known and problem.views.dispersion is None:
+        if parameter_name(name) not in known and (batch or problem.views.dispersion is None):
             raise unknown_name("quantity of a family", name, known)
+        if batch and parameter_name(name) in _on_the_way(problem):
+            raise PeriluneError(
+                "members that are solved together have results at the ends of phases only", got=name,
+                expected="no peak and no integral along the flight", advice="leave out --batch, or choose another",
+            )  # fmt: skip
+
+
+def _on_the_way(problem: Problem) -> set[str]:
+    integrals = {variable.name for phase in problem.phases for variable in phase.integral_variables}
+    return integrals | {f"peak_{name}{more}" for name in problem.views.peaks for more in ("", "_time")}
 
 
 @styled
