@@ -77,7 +77,7 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
         if order.batch:
             found = solve_many(_with_own_values(order, scenario.problem, list(over)), grid_points(over), **options)
         else:
-            found = sweep(scenario.problem, over, method, tolerance=scenario.tolerance, **options)
+            found = sweep(scenario.problem, over, method=method, tolerance=scenario.tolerance, **options)
     table = member_table(found)
     for outcome, error in ((Outcome.INFEASIBLE, InfeasibleError), (Outcome.REFUSED, PeriluneError)):
         if len(table) and set(table.outcomes) == {outcome.name}:
