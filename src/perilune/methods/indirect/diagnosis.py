@@ -121,6 +121,14 @@ def bound_unreachable_objective(problem: Problem, breach: ConstraintViolation) -
     return None
 
 
+def bounds_its_objective(problem: Problem) -> bool:
+    """Return True if J is the end of one state that has a bound, so that an optimum may say that nothing keeps it."""
+    expression, last = problem.form.expressions["objective"], problem.phases[-1]
+    read = {op[:2] for op in expression.tape.instructions if op[0] in ("x", "p")}
+    p = problem.parameters({})
+    return any(read == {("x", state.name)} and np.isfinite(state.limits(p)).any() for state in last.states)
+
+
 def _by_the_mesh_alone(coarse: Coarse, flight: Solution, breach: ConstraintViolation) -> bool:
     """Return True if a rough flight keeps a bound, of which only J depends, by no more than its J changes."""
     bound, finer = bound_unreachable_objective(coarse.problem, breach), coarse.without_bounds(breach.name, flight)

@@ -17,6 +17,7 @@ from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.continuation.duration_continuation import FinalTimeContinuation, given_durations
 from perilune.methods.indirect.continuation.homotopy import SMOOTH, Smoothing
 from perilune.methods.indirect.continuation.parameter_scan import distinct_roots
+from perilune.methods.indirect.diagnosis import bounds_its_objective
 from perilune.methods.indirect.export_arcs import can_use_multiple_shooting
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.random_costates import (
@@ -165,12 +166,13 @@ class ColdStarts:
         """Yield flights of the direct method, or one without limits of the states where nothing is known yet.
 
         Where not even a least miss came of any start, limits are not what stands in the way; where one is more than
-        the error of the mesh, they are relaxed one by one.
+        the error of the mesh, they are relaxed one by one, but for a limit of J itself, which an optimum without it
+        says to be out of reach.
         """
         yield from self.coarse.resolved()
         refused = self.coarse.refusal
         if self.found_any or self.coarse.solution is not None or isinstance(refused, InfeasibleError):
             return
         known = getattr(refused, "partial", {})
-        if known.get("converged", True) and "least_miss" not in known:
+        if known.get("converged", True) and ("least_miss" not in known or bounds_its_objective(self.trials.problem)):
             yield from filter(None, [self.coarse.without_limits()])
