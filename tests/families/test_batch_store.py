@@ -21,6 +21,7 @@ from perilune.cli import run_command_line
 from perilune.families.batch import Batch
 from perilune.families.batch_solver import BatchSolver
 from perilune.families.solve_many import solve_many
+from problems.constrained import bryson_denham
 from problems.folded import cusp, cusp_cost
 
 POINTS = {"vehicle.thrust": [*np.linspace(400.0, 480.0, 7), -1.0], "landing.altitude": [*[0.0] * 6, 20e3, 0.0]}
@@ -198,6 +199,20 @@ def test_a_store_of_another_batch_is_refused(landing: Problem, known: Solution, 
         solve_many(landing, POINTS, known, store=tmp_path, search=False)
     with pytest.raises(PeriluneError, match="differs"):
         pl.sweep(landing, {"vehicle.thrust": [430.0]}, store=tmp_path)
+
+
+def test_more_time_solves_again_what_was_not_found(tmp_path: Path) -> None:
+    points = {"ceiling": [0.28, 0.2]}
+
+    def solved(time_limit: float) -> Batch:
+        known = pl.solve(bryson_denham(0.3), verify=0)
+        return solve_many(bryson_denham(0.3), points, known, search=False, store=tmp_path, time_limit=time_limit)
+
+    assert solved(10.0).outcomes.tolist() == ["SOLVED", "NOT_CONVERGED"] and solved(5.0).notes == (
+        "2 of 2 points are as stored",
+    )
+    again = solved(20.0)
+    assert again.outcomes.tolist() == ["SOLVED", "NOT_CONVERGED"] and again.notes == ("1 of 2 points are as stored",)
 
 
 def test_jumps_of_the_best_extremal_are_followed() -> None:

@@ -99,7 +99,9 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
         total = math.prod(len(values) for values in over.values())
         print_note(f"stopped by the user with {done} of {total} values done, which are kept")
     code = INTERRUPTED if table.interrupted else worst
-    return files.noted(CommandAnswer(text=family_csv(table), document=family_document(table), exit_code=code))
+    # Of very many members each takes seconds, and only one is printed.
+    text, document = ("", family_document(table)) if order.as_json else (family_csv(table), {})
+    return files.noted(CommandAnswer(text=text, document=document, exit_code=code))
 
 
 def _with_own_values(order: Namespace, problem: Problem, keys: Sequence[str]) -> Problem:

@@ -21,9 +21,10 @@ from perilune.families.batch_solver import BatchRequest
 from perilune.families.store_directory import begin_store, problem_identity, read_arrays, unusable_store, write_stored
 from perilune.io import tree
 
-_MESSAGES = "messages"
+_MESSAGES, _LIMIT = "messages", "time_limit"
 _LONGEST = 4000  # characters of a message
 _PROVED = OUTCOMES.index(Outcome.PROVED)
+_NOT_CONVERGED = OUTCOMES.index(Outcome.NOT_CONVERGED)
 _ANSWERS = [_PROVED, SOLVED, OUTCOMES.index(Outcome.NOT_PROVED)]
 
 
@@ -43,7 +44,7 @@ class BatchStore:
         self._identity: dict[str, Any] = {
             "problem": problem_identity(request.problem, request.names),
             "points": {"names": list(request.names), "count": len(values), "digest": _array_digest(values)},
-            "known": [_array_digest(known.unknowns) for known in request.known],
+            "known solutions": [_array_digest(known.unknowns) for known in request.known],
             "level": request.level,
             "search": request.search,
         }
@@ -89,6 +90,7 @@ class BatchStore:
         said = json.dumps({str(i): message for i, message in rows.messages.items()}).encode()
         content = io.BytesIO()
         arrays: dict[str, Any] = {**dict(rows.columns), _MESSAGES: np.frombuffer(said, dtype=np.uint8)}
+        arrays[_LIMIT] = np.array(self.request.limit)
         np.savez_compressed(content, **arrays)
         try:
             write_stored(self.directory, self._file(start).name, content.getvalue())
@@ -127,6 +129,8 @@ class BatchStore:
         rows.levels[:] = 0
         if self.request.level:
             rows.codes[solved] = SOLVED  # and not proved before it is proved again
+        if not self.request.limit <= _scalar(found.get(_LIMIT)):  # more time may find what was not found
+            rows.clear(rows.where(_NOT_CONVERGED))
         return rows
 
     def _messages(self, file: Path, content: Any, count: int) -> dict[int, str]:
@@ -138,6 +142,11 @@ class BatchStore:
         ):
             raise unusable_store(file, "messages of no points", "a text for each point")
         return {int(key): text[:_LONGEST] for key, text in said.items()}
+
+
+def _scalar(content: Any) -> float:
+    """Return the number of an array without dimensions; NaN if it is none."""
+    return float(content) if content is not None and content.shape == () and content.dtype == float else np.nan
 
 
 def _array_digest(*arrays: Any) -> str:
