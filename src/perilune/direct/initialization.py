@@ -270,7 +270,13 @@ class FirstMesh:
         return self.run.looked_at(program, answer).worst > ROUGHEST
 
     def error_of_states(self, program: TranscribedProgram, answer: ProgramSolution) -> float:
-        """Return the largest relative error of the mesh in a state."""
+        """Return the largest relative error of the mesh in a state.
+
+        Parameters
+        ----------
+        program, answer
+            Program, and its solution.
+        """
         errors = zip(self.problem.phases, self.run.looked_at(program, answer).relative, strict=True)
         return max(float(relative[:, : len(phase.states)].max()) for phase, relative in errors)
 
@@ -278,6 +284,13 @@ class FirstMesh:
         """Return True if another start led to the same least miss, and no finer mesh would make up for it.
 
         Further starts seldom lead elsewhere then.
+
+        Parameters
+        ----------
+        program, nearest
+            Program with its least miss.
+        known
+            Sizes of the least misses before it, canonical.
         """
         again = any(abs(nearest.violation - other) <= SAME * other for other in known)
         return again and nearest.violation > self.error_of_states(program, nearest)

@@ -95,11 +95,11 @@ class BatchSolver:
             Receives lines of text.
         """
         if len(rows.where(UNSOLVED)):
-            self.solve_in_lanes(rows)
+            self._solve_in_lanes(rows)
             if self.request.search:
-                self.solve_around_nodes(rows, say)
-            self.solve_left(rows, say)
-        self.prove(rows, say)
+                self._solve_around_nodes(rows, say)
+            self._solve_left(rows, say)
+        self._prove(rows, say)
 
     def has_to(self, rows: BatchRows) -> bool:
         """Return True if `complete` has something to do."""
@@ -108,7 +108,7 @@ class BatchSolver:
     def _unproved(self, rows: BatchRows) -> NDArray[np.int64]:
         return np.nonzero((rows.codes == SOLVED) & (rows.levels < self.request.level))[0]
 
-    def solve_in_lanes(self, rows: BatchRows) -> None:
+    def _solve_in_lanes(self, rows: BatchRows) -> None:
         """Refuse what cannot be flown, and solve what the lanes reach from the known solutions."""
         points = self._screened(rows)
         with _whole_or_not(rows, points):
@@ -146,7 +146,7 @@ class BatchSolver:
         for name, values in solver.results(found, named).items():
             rows.results[name][points] = values
 
-    def solve_around_nodes(self, rows: BatchRows, say: Say) -> None:
+    def _solve_around_nodes(self, rows: BatchRows, say: Say) -> None:
         """Solve nodes of the lattice around the first known solution anew, and from each the points near it.
 
         So points at which the best flight has other arcs are solved together too.
@@ -177,7 +177,7 @@ class BatchSolver:
         """Return the problem at values of the parameters [SI], which its records may refuse."""
         return self.request.problem.with_given(**dict(zip(self.request.names, values.tolist(), strict=True)))
 
-    def solve_left(self, rows: BatchRows, say: Say) -> None:
+    def _solve_left(self, rows: BatchRows, say: Say) -> None:
         """Solve one by one what has no answer yet, or say that it was not tried."""
         left = rows.where(UNSOLVED).tolist()
         if not self.request.search:
@@ -204,7 +204,7 @@ class BatchSolver:
                     return near
             raise
 
-    def prove(self, rows: BatchRows, say: Say) -> None:
+    def _prove(self, rows: BatchRows, say: Say) -> None:
         """Prove each answer of the lanes to the level of the request, and solve alone those that do not prove."""
         todo = self._unproved(rows)
         for number, i in enumerate(todo.tolist(), 1):

@@ -293,7 +293,13 @@ def _piece_deviations(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matri
 
 
 def fixed_points(B: Any, right: Any) -> Any:
-    """Solve X = R + B X for small B by iteration, to rounding, and by elimination where that does not settle."""
+    """Solve X = R + B X for small B by iteration, to rounding, and by elimination where that does not settle.
+
+    Parameters
+    ----------
+    B, right
+        Matrices B, (pieces, n, n), and R, (pieces, n, k).
+    """
     X, before, settled = np.array(right), np.empty_like(right), np.zeros(len(right), dtype=bool)
     for _ in range(_ROUNDS):
         for _ in range(_AT_ONCE):
