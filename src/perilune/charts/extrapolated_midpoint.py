@@ -280,8 +280,7 @@ def _margins_at(
     functions of it, of the control that is flown too; of a phase that settles those on states only.
     """
     problem, extremal = rides.stated, rides.conditions.phases[k]
-    phase = problem.phases[k]
-    n, p = extremal.state_count, trace_parameters(problem)
+    phase, n, p = problem.phases[k], extremal.state_count, trace_parameters(problem)
     symbols, limits = limit_symbols(problem, p)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
     # On the mode's own side also where it begins: there its rounded place may be on the other side of a jump.

@@ -22,7 +22,8 @@ from perilune.cli.progress import LONGEST_LOG, print_note, progress, refuse_unus
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from perilune.families import Submits
+    from perilune.families import MemberTable, Submits
+    from perilune.methods import Method
     from perilune.problem import Problem
     from perilune.scenario import Scenario
 
@@ -35,29 +36,12 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
     if order.resume and order.out is None:
         raise PeriluneError("--resume continues the sweep in a directory", expected="--out DIR", advice="name it")
     level = order.level if order.level is not None else 0 if order.batch else 1
-    settings, limit = method_settings(order), time_limit(order)
-    typed = [f"--{name}" for name, value in settings.items() if value is not None]
-    typed += [f"--method {order.method}"] if order.method != "indirect" else []
-    if order.batch and typed:
-        raise PeriluneError(
-            "--batch is of the indirect method as it is", got=", ".join(typed), expected="no settings of a method",
-            advice=f"leave out --batch, or {typed[0]}",
-        )  # fmt: skip
-    method = method_of(order.method, settings)
+    method, limit = _method_of_sweep(order), time_limit(order)
     from perilune.scenario import values_of
 
     over = ranges_of_keys(order, values_of)
     scenario = scenario_with_ranges(order.file, order.changes, over)
-    axes = {name: getattr(order, name) for name in ("x", "y", "z")}
-    if any(axes.values()):
-        if order.out is None:
-            raise PeriluneError(
-                "--x, --y and --z choose the axes of a figure", expected="--out DIR", advice="state where it goes"
-            )
-        from perilune.core import parameter_name
-        from perilune.report import require_map
-
-        require_map(scenario.problem, tuple(map(parameter_name, over)), axes, order.batch)
+    axes = _axes_of_map(order, scenario.problem, over)
     if order.batch and level and scenario.tolerance.stated:
         print_note("--batch proves without the tolerances under [proof], as if none were stated")
     options: dict[str, Any] = {"verify": level, "time_limit": limit}
@@ -70,7 +54,6 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
             clear_family(options["store"])
     from perilune import solve_many, sweep
     from perilune.families import grid_points, member_table
-    from perilune.report import family_csv, family_document, write_family
 
     with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, worker_pool(order.workers) as executor:
         options |= {"callback": watch, "executor": executor}
@@ -83,25 +66,59 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
         if len(table) and set(table.outcomes) == {outcome.name}:
             first, names = table.messages[0], " and ".join(table.parameters)
             raise error(f"every value of {names} is invalid", got=first, advice="try another range")
+    return _answer_of_table(order, table, level, axes, math.prod(len(values) for values in over.values()))
+
+
+def _answer_of_table(
+    order: Namespace, table: MemberTable, level: int, axes: Mapping[str, str | None], total: int
+) -> CommandAnswer:
+    """Write the files of a sweep of so many values, and return its table with the exit code."""
+    from perilune.report import family_csv, family_document, write_family
+
     files = WrittenFiles()
     if order.out is not None:
         with files.written():
-            write_family(table, order.out, force=True, axes=axes)  # what may not be replaced was refused above
-    codes = {
-        Outcome[name].exit_code if solved else 4 for name, solved in zip(table.outcomes, table.solved, strict=True)
-    }
+            write_family(table, order.out, force=True, axes=axes)  # what may not be replaced was refused before
+    ended = {*zip(table.outcomes, table.solved.tolist(), strict=True)}
+    codes = [Outcome[name].exit_code if solved else 4 for name, solved in ended]
     # At level 0 no proof was asked for, so none is missing.
     worst = max((c for c in codes if c != 5 or level), default=0, key=(0, 5, 4).index)
     for text in table.notes:
         print_note(text)
     if table.interrupted:
         done = sum(name != Outcome.INTERRUPTED.name for name in table.outcomes)
-        total = math.prod(len(values) for values in over.values())
         print_note(f"stopped by the user with {done} of {total} values done, which are kept")
     code = INTERRUPTED if table.interrupted else worst
     # Of very many members each takes seconds, and only one is printed.
     text, document = ("", family_document(table)) if order.as_json else (family_csv(table), {})
     return files.noted(CommandAnswer(text=text, document=document, exit_code=code))
+
+
+def _method_of_sweep(order: Namespace) -> Method:
+    settings = method_settings(order)
+    typed = [f"--{name}" for name, value in settings.items() if value is not None]
+    typed += [f"--method {order.method}"] if order.method != "indirect" else []
+    if order.batch and typed:
+        raise PeriluneError(
+            "--batch is of the indirect method as it is", got=", ".join(typed), expected="no settings of a method",
+            advice=f"leave out --batch, or {typed[0]}",
+        )  # fmt: skip
+    return method_of(order.method, settings)
+
+
+def _axes_of_map(order: Namespace, problem: Problem, over: Mapping[str, Any]) -> dict[str, str | None]:
+    """Return what was asked for as the axes of the map, which is refused here if it cannot be drawn."""
+    axes = {name: getattr(order, name) for name in ("x", "y", "z")}
+    if any(axes.values()):
+        if order.out is None:
+            raise PeriluneError(
+                "--x, --y and --z choose the axes of a figure", expected="--out DIR", advice="state where it goes"
+            )
+        from perilune.core import parameter_name
+        from perilune.report import require_map
+
+        require_map(problem, tuple(map(parameter_name, over)), axes, order.batch)
+    return axes
 
 
 def _with_own_values(order: Namespace, problem: Problem, keys: Sequence[str]) -> Problem:

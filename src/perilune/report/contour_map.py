@@ -145,9 +145,7 @@ def family_map(
             expected="neighbouring members with a solution",
         )  # fmt: skip
     infeasible = np.array(members.outcomes) == Outcome.INFEASIBLE.name
-    unknown = (~np.isfinite(height) & ~infeasible)[bad].any(axis=1)
-    for hatch, triangles in (("////", bad[~unknown]), ("....", bad[unknown])):
-        _hatched(axes, np.stack([along, across], axis=1), triangles, hatch)
+    _hatch_unsolved(axes, np.stack([along, across], axis=1), bad, ~np.isfinite(height) & ~infeasible)
     mesh, folded = Triangulation(along, across, good), _folded(along, across, good)
     drawn = _scatter_of(axes, along, across, height) if folded else _contours(axes, mesh, height, _levels(height))
     bar = figure.colorbar(drawn, ax=axes, pad=0.02)
@@ -218,10 +216,13 @@ def _triangles(placed: np.ndarray, known: np.ndarray, good: np.ndarray) -> tuple
     return np.array(full, dtype=np.int64).reshape(-1, 3), np.array(empty, dtype=np.int64).reshape(-1, 3)
 
 
-def _hatched(axes: Any, at: Matrix, triangles: np.ndarray, hatch: str) -> None:
-    if len(triangles):
-        shapes = PolyCollection(list(at[triangles]), facecolor="#F4F4F4", edgecolor="#B0B0B0", hatch=hatch, linewidth=0)
-        axes.add_collection(shapes)
+def _hatch_unsolved(axes: Any, at: Matrix, triangles: np.ndarray, unknown: np.ndarray) -> None:
+    """Hatch triangles with corners that have no solution: by dots where one of them was not solved, else by lines."""
+    dotted = unknown[triangles].any(axis=1)
+    for hatch, its in (("////", triangles[~dotted]), ("....", triangles[dotted])):
+        if len(its):
+            shapes = PolyCollection(list(at[its]), facecolor="#F4F4F4", edgecolor="#B0B0B0", hatch=hatch, linewidth=0)
+            axes.add_collection(shapes)
 
 
 def _folded(along: Vector, across: Vector, triangles: np.ndarray) -> bool:
