@@ -17,6 +17,7 @@ from perilune.proof.sufficient.quadratic_form import QuadraticForm
 from perilune.proof.sufficient.second_variation import VariationPiece
 from perilune.proof.sufficient.singular_arcs import Leap
 
+_PARTS = 8  # of a piece, worked on at once: the more, the fewer columns that are 0 are multiplied
 _SAID_TWICE = 1e-7  # of a linearised condition: by so much others that say the same may differ
 
 
@@ -34,30 +35,19 @@ def assemble_second_variation(pieces: Sequence[VariationPiece]) -> QuadraticForm
         if piece.first:
             dx, curved = _start_variation(piece, dx, parameters)
             form += curved
-            begun = _vanishing_rows(piece, piece.kept.holds, dx, parameters, 0.0)
-            constraints += [_tied_length_row(piece, parameters), _independent_rows(begun, known)]
-        n, _, k = piece.sizes
-        identity, step = np.eye(n), piece.lengths[:, None, None]
-        half = 0.5 * step * piece.F[:, :n].transpose(2, 0, 1)
-        inverse = np.linalg.inv(identity - half)
-        through = inverse @ (identity + half)
-        into = step * inverse @ piece.F[:, n:].transpose(2, 0, 1)
-        shape = np.zeros((piece.steps, 0, 0))
-        if k:
-            shape = np.linalg.inv(np.linalg.cholesky(step * piece.H_uu)).transpose(0, 2, 1)
-        path = np.zeros((piece.steps, n + m + k, columns))
-        for j in range(piece.steps):
-            sign_of_life("proof: level 3, the second variation")
-            path[j, n : n + m] = parameters
-            path[j, n + m :, at + j * k : at + (j + 1) * k] = shape[j]
-            after = through[j] @ dx + into[j] @ path[j, n:]
-            path[j, :n] = 0.5 * (dx + after)
-            dx = after
-        at += k * piece.steps
-        weighted = step * piece.W.transpose(2, 0, 1) @ path
-        flat = (piece.steps * (n + m + k), columns)  # which may be none
-        form += path.reshape(flat).T @ weighted.reshape(flat)
-        slope -= (piece.lengths * piece.yields).T.ravel() @ path.reshape(flat)
+            held = _vanishing_rows(piece, piece.kept.holds, dx, parameters, 0.0)
+            constraints += [_tied_length_row(piece, parameters), _independent_rows(held, known)]
+        begun, own = np.vstack([dx, parameters]), slice(at, at + piece.sizes[2] * piece.steps)
+        at, first = own.stop, len(begun)
+        along, yielded, after = _form_along(piece)
+        form += begun.T @ along[:first, :first] @ begun
+        form[:, own] += begun.T @ along[:first, first:]
+        form[own] += along[first:, :first] @ begun
+        form[own, own] += along[first:, first:]
+        slope += yielded[:first] @ begun
+        slope[own] += yielded[first:]
+        dx = after[:, :first] @ begun
+        dx[:, own] += after[:, first:]
         if piece.leap is not None:
             dx, curved = _leap_variation(piece.leap, dx, parameters)
             form += curved
@@ -74,6 +64,36 @@ def assemble_second_variation(pieces: Sequence[VariationPiece]) -> QuadraticForm
             constraints.append(_independent_rows(np.vstack([rows, left]), held))
             known = np.vstack([held, rows])
     return QuadraticForm(0.5 * (form + form.T), np.vstack(constraints), slope, m - len(curvature))
+
+
+def _form_along(piece: VariationPiece) -> tuple[Matrix, Vector, Matrix]:
+    """Form and slope of one piece over (state as it begins, parameters, its controls), and its final state (n, ...)."""
+    n, m, k = piece.sizes
+    identity, step = np.eye(n), piece.lengths[:, None, None]
+    half = 0.5 * step * piece.F[:, :n].transpose(2, 0, 1)
+    inverse = np.linalg.inv(identity - half)
+    through = inverse @ (identity + half)
+    into = step * inverse @ piece.F[:, n:].transpose(2, 0, 1)
+    shape = np.zeros((piece.steps, 0, 0))
+    if k:
+        shape = np.linalg.inv(np.linalg.cholesky(step * piece.H_uu)).transpose(0, 2, 1)
+    weights, yields = step * piece.W.transpose(2, 0, 1), piece.lengths * piece.yields
+    columns = n + m + k * piece.steps
+    form, slope, dx = np.zeros((columns, columns)), np.zeros(columns), np.eye(n, columns)
+    for some in np.array_split(np.arange(piece.steps), _PARTS):
+        reached = n + m + k * (some[-1] + 1)  # of the columns: controls further on change nothing here
+        path = np.zeros((len(some), n + m + k, reached))
+        path[:, n : n + m] = np.eye(m, reached, n)
+        for row, j in zip(path, some.tolist(), strict=True):
+            sign_of_life("proof: level 3, the second variation")
+            row[n + m :, n + m + j * k : n + m + (j + 1) * k] = shape[j]
+            after = through[j] @ dx[:, :reached] + into[j] @ row[n:]
+            row[:n] = 0.5 * (dx[:, :reached] + after)
+            dx[:, :reached] = after
+        flat = (len(some) * (n + m + k), reached)
+        form[:reached, :reached] += path.reshape(flat).T @ (weights[some] @ path).reshape(flat)
+        slope[:reached] -= yields[:, some].T.ravel() @ path.reshape(flat)
+    return form, slope, dx
 
 
 def _leap_variation(leap: tuple[int, Leap], dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
