@@ -37,10 +37,43 @@ class QuadraticForm:
     m: int
 
 
-def _kernel_basis(constraints: Matrix) -> Matrix:
-    """Orthonormal basis of the variations that keep the linearised end conditions, in columns."""
-    _, sizes, rows = np.linalg.svd(constraints, full_matrices=True)
-    return rows[int((sizes > 1e-10 * sizes.max(initial=0.0)).sum()) :].T
+@dataclass(frozen=True)
+class _Reflection:
+    """Symmetric orthogonal matrix I - W X', that takes orthonormal rows V (r, N) to the first r coordinates.
+
+    W = V' + E B and X = W (I + B'E'V')^-1, where B is the orthogonal factor of the polar decomposition of E'V'. As r is
+    small it is applied to a form by few products, and the other N - r coordinates are those of the kernel of V.
+    """
+
+    W: Matrix
+    X: Matrix
+    turn: Matrix
+
+    @classmethod
+    def of(cls, rows: Matrix) -> _Reflection:
+        """Return the reflection of orthonormal rows."""
+        r, W = len(rows), rows.T.copy()
+        left, sizes, right = np.linalg.svd(W[:r])
+        W[:r] += left @ right
+        return cls(W, np.linalg.solve(np.eye(r) + right.T * sizes @ right, W.T).T, -left @ right)
+
+    def form(self, form: Matrix) -> Matrix:
+        """Return a symmetric form in the reflected coordinates."""
+        moved = form @ self.X
+        moved -= 0.5 * self.W @ (self.X.T @ moved)
+        change = self.W @ moved.T
+        return form - change - change.T
+
+    def rows(self, rows: Matrix) -> Matrix:
+        """Return rows (..., N) in the reflected coordinates."""
+        return rows - (rows @ self.W) @ self.X.T
+
+
+def _off_conditions(constraints: Matrix) -> tuple[int, _Reflection]:
+    """Return the number of independent conditions, and the reflection behind which these are the first coordinates."""
+    _, sizes, rows = np.linalg.svd(constraints, full_matrices=False)
+    count = int((sizes > 1e-10 * sizes.max(initial=0.0)).sum())
+    return count, _Reflection.of(rows[:count])
 
 
 def destabilising_eigenvalue(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
@@ -53,13 +86,16 @@ def destabilising_eigenvalue(form: Matrix, constraints: Matrix, m: int) -> tuple
     form, constraints, m
         Of a `QuadraticForm`.
     """
-    free = _kernel_basis(constraints)
-    form = free.T @ form @ free
+    count, free = _off_conditions(constraints)
+    parameters = free.rows(np.eye(m, len(form)))[:, count:]
+    form = free.form(form)[count:, count:]
     # The measure, 1 on controls and switching times and 0 on parameters, is 1 - q'q here, q the rows of the parameters.
-    _, shares, vectors = np.linalg.svd(free[:m], full_matrices=True)
+    _, shares, vectors = np.linalg.svd(parameters, full_matrices=False)
     weights = 1.0 - np.pad(shares, (0, len(form) - len(shares))) ** 2
-    vectors = vectors.T
-    form = vectors.T @ form @ vectors
+    along = _Reflection.of(vectors)
+    form = along.form(form)
+    form[: len(shares)] = along.turn.T @ form[: len(shares)]
+    form[:, : len(shares)] = form[:, : len(shares)] @ along.turn
     alone = int((weights < 1e-10).sum())  # variations of parameters without any of the control
     if alone:
         own, mixed = form[:alone, :alone], form[:alone, alone:]
@@ -75,8 +111,8 @@ def destabilising_eigenvalue(form: Matrix, constraints: Matrix, m: int) -> tuple
 
 def newton_gain(forms: QuadraticForm) -> float:
     """Return the gain of a Newton step over the size of J (its absolute value, where the form is none of a minimum)."""
-    free = _kernel_basis(forms.constraints)
-    form, slope = free.T @ forms.form @ free, free.T @ forms.slope
+    count, free = _off_conditions(forms.constraints)
+    form, slope = free.form(forms.form)[count:, count:], free.rows(forms.slope)[count:]
     if not form.size:
         return 0.0
     sizes, vectors = np.linalg.eigh(form)
