@@ -198,10 +198,16 @@ def _check_minimum(arc: PhaseData) -> Check:
                 worst, hamiltonian_gain(arc, x[:, None, :, 0], u[:, None, :, 0], tried, lam[:, None, :, 0])
             )
     samples = math.prod(len(part) for part in parts)
-    width, tables = max(1, _AT_ONCE // samples), [np.stack(part, axis=1) for part in parts]
+    # The longest axis last: what is done along it is done at once.
+    axes = np.argsort(np.argsort([len(part) for part in parts], kind="stable")).tolist()
+    width, tables = max(1, _AT_ONCE // samples), [np.stack(part, axis=2) for part in parts]
     for k in range(0, count, width):
-        here = (slice(None), *(None,) * len(parts), slice(k, k + width), 0)
-        tried = with_own_axes([table[:, :, k : k + width] for table in tables])
+        here = (slice(None), slice(k, k + width), 0, *(None,) * len(parts))
+        tried = [
+            component[:, *(slice(None) if j == axis else None for j in range(len(parts)))]
+            for axis, table in zip(axes, tables, strict=True)
+            for component in table[:, k : k + width]
+        ]
         worst = np.maximum(worst, hamiltonian_gain(arc, x[here], u[here], tried, lam[here]))
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
