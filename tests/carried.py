@@ -70,7 +70,8 @@ class Carried:
         folder.mkdir(parents=True, exist_ok=True)
         self.file.write_text(text, encoding="utf-8")
         (folder / "air.csv").write_text(AIR, encoding="utf-8")
-        self.problem = load_file(self.file).problem
+        self.loaded = load_file(self.file)
+        self.problem = self.loaded.problem
 
     def step(self, name: str) -> None:
         self.steps.append(name)
@@ -147,7 +148,7 @@ class Carried:
 
     def saved(self, solution: pl.Solution) -> pl.Solution:
         """Saved and loaded: the same problem, flight and results."""
-        save(solution, self.folder / "saved", load_file(self.file).text, force=True)
+        save(solution, self.folder / "saved", self.loaded.text, force=True)
         back = pl.load(self.folder / "saved")
         assert back.problem == solution.problem
         same = {name: (found.value, back.results[name].value) for name, found in solution.results.items()}
