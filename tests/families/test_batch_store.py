@@ -70,7 +70,9 @@ def test_a_batch_goes_on_where_it_was_broken_off(
     names = sorted(path.name for path in (tmp_path / "s").iterdir())
     assert names == ["points-000000.npz", "points-000003.npz", "sweep.json"]
     (tmp_path / "s" / ".writing-1-points-000006.npz").write_bytes(b"half")
+    written = (tmp_path / "s" / names[0]).stat().st_mtime_ns
     again = solve_many(landing, POINTS, known, store=tmp_path / "s")
+    assert (tmp_path / "s" / names[0]).stat().st_mtime_ns == written  # what is there is not written again
     assert same(again, whole) and again.notes == ("6 of 8 points are as stored",)
     assert again.solution(1).objective == whole.solution(1).objective
 

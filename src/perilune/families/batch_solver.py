@@ -131,7 +131,7 @@ class BatchSolver:
         found = solver.solve(rows.values[points])
         with np.errstate(invalid="ignore"):
             its = found.found & ~(found.doubt < found.cost)
-            if origin > 0:  # what the first suspects stays in doubt, and what it found answers unless this is less
+            if origin > 0:  # what was found before answers unless this is less; what was in doubt, as if solved anew
                 size = solver.objective_size
                 before = rows.objective[points]
                 its &= ~(before <= found.cost * size + _LESS * (0.1 * size + np.abs(before)))

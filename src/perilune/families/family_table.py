@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +83,7 @@ class MemberTable:
         ordered = [named[name] for name in dict.fromkeys(c.name for c in (*self.results, *self.free))]
         return [replace(c, name=f"{c.name}_result") if c.name in self.parameters else c for c in ordered]
 
-    @property
+    @cached_property
     def grid(self) -> NDArray[np.int64] | None:
         """Return the numbers of the members as a grid, each axis in the order of the request; None if they are none."""
         rows = [tuple(row) for row in self.values.tolist()]
@@ -106,11 +107,7 @@ def member_table(found: Family | Batch | MemberTable) -> MemberTable:
 def _family_table(family: Family) -> MemberTable:
     points, solutions = family.points, [p.solution for p in family.points if p.solution is not None]
     about = {name: result for s in solutions for name, result in s.results.items()}
-    free = {
-        name: Variable(name=name, unit=s.problem.unit_of(name), description="chosen")
-        for s in solutions
-        for name in s.free
-    }
+    free = {name: _chosen(s.problem, name) for s in solutions for name in s.free}
 
     def column(name: str, of: Result | Variable, read: Callable[[Solution, str], float]) -> MemberColumn:
         return _member_column(name, of, [math.nan if p.solution is None else read(p.solution, name) for p in points])

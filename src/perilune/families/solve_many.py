@@ -130,7 +130,8 @@ class _Work:
         try:
             if self.kept is not None:
                 self._take_over(self.kept, starts)
-            for start in starts if executor is None else self._elsewhere(executor, starts):
+            todo = [start for start in starts if self.solver.has_to(self.rows.part(start, _TOGETHER))]
+            for start in todo if executor is None else self._elsewhere(executor, todo):
                 if executor is None:
                     self._complete_here(start)
                 if self.kept is not None:
@@ -167,11 +168,7 @@ class _Work:
     def _elsewhere(self, executor: Submits, starts: Iterable[int]) -> Iterator[int]:
         """Yield the begin of rows as they come back from an executor."""
         token = uuid4().hex
-        calls = (
-            (start, (completed_rows, token, self.request, self.rows.part(start, _TOGETHER)))
-            for start in starts
-            if self.solver.has_to(self.rows.part(start, _TOGETHER))
-        )
+        calls = ((start, (completed_rows, token, self.request, self.rows.part(start, _TOGETHER))) for start in starts)
         for start, rows in run_calls(executor, calls):
             self.rows.put(start, rows)
             yield start

@@ -105,8 +105,8 @@ def bound_unreachable_objective(problem: Problem, breach: ConstraintViolation) -
     breach
         Violated bound of a state at the end of the last phase.
     """
-    expression, last = problem.form.expressions["objective"], problem.phases[-1]
-    if {op[:2] for op in expression.tape.instructions if op[0] in ("x", "p")} != {("x", breach.name)}:
+    last = problem.phases[-1]
+    if _read_by_objective(problem) != {("x", breach.name)}:
         return None
     state = next(state for state in last.states if state.name == breach.name)
 
@@ -123,10 +123,15 @@ def bound_unreachable_objective(problem: Problem, breach: ConstraintViolation) -
 
 def bounds_its_objective(problem: Problem) -> bool:
     """Return True if J is the end of one state that has a bound, so that an optimum may say that nothing keeps it."""
-    expression, last = problem.form.expressions["objective"], problem.phases[-1]
-    read = {op[:2] for op in expression.tape.instructions if op[0] in ("x", "p")}
-    p = problem.parameters({})
-    return any(read == {("x", state.name)} and np.isfinite(state.limits(p)).any() for state in last.states)
+    read, p = _read_by_objective(problem), problem.parameters({})
+    bounded = (state.name for state in problem.phases[-1].states if np.isfinite(state.limits(p)).any())
+    return any(read == {("x", name)} for name in bounded)
+
+
+def _read_by_objective(problem: Problem) -> set[Any]:
+    """Return the states and parameters that J depends on, as operations of its tape."""
+    instructions = problem.form.expressions["objective"].tape.instructions
+    return {op[:2] for op in instructions if op[0] in ("x", "p")}
 
 
 def _by_the_mesh_alone(coarse: Coarse, flight: Solution, breach: ConstraintViolation) -> bool:
